@@ -18,10 +18,10 @@ Values = NDArray[Any]
 class Instances:
     """`count` machines of `program`.
 
-    A value is the same for all machines, or a list or array whose first axis is the machine. Values that come back
-    have the machine as their first axis, those of `run` as their second one, after the step. Methods raise as those of
-    a single machine, and DiagramError for values of another number of machines. Raises CompileError for a program that
-    was built without a C compiler.
+    A value is the same for all machines, or a list or array whose first axis is the machine. The first axis of returned
+    values is the machine; for `run` it is the second one, after the step. Methods raise the errors of a single machine,
+    and DiagramError for values of another number of machines. Raises CompileError for a program that was built without
+    a C compiler.
     """
 
     def __init__(self, program: CompiledProgram | Reference, count: int) -> None:
@@ -29,7 +29,7 @@ class Instances:
             what = "many instances need a C compiler"
             raise CompileError(what, program.diagram.name, "install gcc, or the wheel ziglang")
         if count < 1:
-            raise DiagramError(f"{count} instances", program.flat.name, "ask for one or more")
+            raise DiagramError(f"{count} instances are too few", program.flat.name, "ask for one or more")
         self.program = program
         self.machines: list[CompiledMachine] = [program.machine() for _ in range(count)]
         self._places = range(count)
@@ -52,11 +52,11 @@ class Instances:
         self.set_many({path: value})
 
     def get(self, path: str) -> Values:
-        """Return a parameter of each machine."""
+        """Return the parameter at `path` of each machine, (machines,)."""
         return np.array([machine.get(path) for machine in self.machines])
 
     def state(self, path: str) -> Values:
-        """Return a state of each machine."""
+        """Return the state at `path` of each machine, (machines,)."""
         return np.array([machine.state(path) for machine in self.machines])
 
     def set_state(self, path: str, value: Any) -> None:
@@ -74,7 +74,7 @@ class Instances:
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Values]:
         """Run `steps` steps and return all outputs, (steps, machines).
 
-        An input has the shape (), (steps,) or (steps, machines); that of an array has its axes behind these.
+        An input has the shape (), (steps,) or (steps, machines); an array's own axes follow these.
         """
         ports = {port.name: port for port in self.program.flat.ports}
         results: dict[str, Values] = {}

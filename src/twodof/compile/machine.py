@@ -71,7 +71,7 @@ class CompiledMachine(Machine):
         return int(self._s["tick"][0])
 
     def reset(self) -> None:
-        """Return to tick 0: initial states of the present parameters, held outputs 0."""
+        """Return to tick 0, with the initial states by the present parameters and held outputs 0."""
         self.instance.init()
 
     def _store_parameters(self, values: Mapping[str, Any]) -> None:

@@ -24,10 +24,10 @@ FLAGS = (*compilers.FLAGS, "-fPIC", "-shared")
 def load(
     source: str, compiler: Compiler, optimise: str = "-O3", native: bool = True, flags: Sequence[str] = ()
 ) -> ctypes.CDLL:
-    """Load the library compiled from `source`, from the cache if it is there.
+    """Compile `source` to a library, or find it in the cache, and load it.
 
-    `native` tunes for this processor. Raises CompileError if the compiler refuses or hangs, or if this process rounds
-    subnormal numbers to zero.
+    `native` uses all instructions of this processor. Raises CompileError if the compiler refuses or hangs, or if this
+    process rounds subnormal numbers to zero.
     """
     _check_subnormals()
     march = ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",) if native else ()
@@ -42,9 +42,9 @@ def load(
             return ctypes.CDLL(str(file))
         except OSError as error:
             raise CompileError(
-                f"its library does not load: {error}",
+                f"the compiled library does not load: {error}",
                 compiler.name,
-                "let TWODOF_CACHE name a folder whose files may be executed",
+                "set TWODOF_CACHE to a folder whose files may be executed",
             ) from error
 
 
@@ -60,7 +60,7 @@ def _check_subnormals() -> None:
 
 @dataclass(frozen=True)
 class Native:
-    """This processor. `compiler` is "cc", "gcc", "clang", "zig" or a path; `cpu` tunes for this very processor."""
+    """Target of this computer: `compiler` "cc", "gcc", "clang", "zig" or a path; `cpu` uses all its instructions."""
 
     compiler: str | None = None
     optimise: str = "-O3"
@@ -102,7 +102,7 @@ class NativeBackend:
         return function
 
     def instance(self) -> NativeInstance:
-        """Return a fresh instance; its structs are numpy's memory."""
+        """Return a fresh instance, whose structs are numpy arrays."""
         return NativeInstance(self)
 
 
@@ -119,5 +119,5 @@ class NativeInstance:
         self._run = partial(backend.run, p, s)
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """Run `steps` ticks on the caller's own arrays; see `target.Instance`."""
+        """Run `steps` ticks on the caller's own arrays; see `TargetInstance.run`."""
         self._run(u.ctypes.data, int(len(u) > 1), y.ctypes.data, int(len(y) > 1), steps)

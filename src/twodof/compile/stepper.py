@@ -12,13 +12,13 @@ from twodof.errors import DiagramError
 
 
 class Stepper:
-    """Steps of `machine` with inputs and outputs by position.
+    """Fast steps of `machine`, with inputs and outputs by position.
 
-    `inputs` names all inputs of the machine and `outputs` the wanted outputs; values come and go as tuples in these
-    orders. The memory is the machine's. A machine's `step`, by name, costs several times as much. Values are not
+    `inputs` names all inputs of the machine and `outputs` the wanted outputs; values are passed and returned as tuples
+    in these orders. The memory is the machine's. `machine.step`, by name, takes several times as long. Values are not
     checked: a real, float32 or float64 is a float, an integer an int within its range, a bool any truth value. Raises
     DiagramError for an unknown name, an array, and an input that is left out. Methods that compute raise
-    ControllerFault where the target can fault.
+    ControllerFault if the program faults.
     """
 
     def __init__(self, machine: CompiledMachine, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -62,7 +62,7 @@ class Stepper:
             self._u[0] = row
 
     def peek(self) -> tuple[Any, ...]:
-        """Return the outputs of a next step with the inputs written last, without advancing."""
+        """Return the outputs that a next step with the inputs written last would have, without advancing."""
         self._kept[:] = self._state
         try:
             self._step()
@@ -79,7 +79,7 @@ class Rerun:
     """Runs of `machine` for `steps` steps on `inputs`, arrays of shape (steps,) by name, in the machine's memory.
 
     `outputs` names the wanted outputs. An estimation needs thousands of runs, and the checks and copies of
-    `machine.run` take as long as a run: here they are done once. Raises DiagramError as `machine.run` does, and for
+    `machine.run` take as long as a run, so they are done only once. Raises DiagramError as `machine.run` does, and for
     an unknown output or an array.
     """
 
@@ -95,7 +95,8 @@ class Rerun:
         with np.errstate(over="ignore"):
             for name, data in inputs.items():
                 if data.shape != (steps,):
-                    raise DiagramError(f"{data.shape} values for {steps} steps", name, "give one value a step")
+                    what = f"the input has the shape {data.shape} for {steps} steps"
+                    raise DiagramError(what, name, "give one value per step")
                 self._u[layout.inputs[flat.inputs[name]].name] = data
         self._y: NDArray[Any] = np.empty(max(steps, 1), instance.structs["Y"].dtype)
         self._outputs = {}
@@ -112,7 +113,7 @@ class Rerun:
         }
 
     def run(self, values: Mapping[str, float]) -> dict[str, NDArray[Any]]:
-        """Set parameters, reset and run. Returns the outputs, of shape (steps,), which the next run overwrites.
+        """Set parameters by path, reset, run, and return the outputs (steps,) by path, which the next run overwrites.
 
         Raises ParameterError for a value that is refused; then no parameter has changed.
         """

@@ -15,10 +15,11 @@ from twodof.compile.program.layout import MemoryLayout
 
 @dataclass(frozen=True)
 class EmittedProgram:
-    """A program's C, and the flattened diagram that it was made from.
+    """A program's C, and the flattened diagram from which it was made.
 
-    `source` may hold other programs too; `marks` has the block of each of its lines. `cost` is what its optimisation
-    costs: the sum over its statements of the squared number of local values that a later statement still reads.
+    `source` may contain other programs too; `marks` has the block of each of its lines. `cost` estimates the work of a
+    compiler that optimises it: the sum, over all statements, of the squared number of local values that a later
+    statement still reads.
     """
 
     flat: FlatProgram
@@ -30,12 +31,12 @@ class EmittedProgram:
 
     @property
     def name(self) -> str:
-        """The prefix of its names in C."""
+        """Prefix of the program's names in C."""
         return self.flat.name
 
     @cached_property
     def dtypes(self) -> dict[str, np.dtype[Any]]:
-        """The numpy types of the structs "P", "S", "U" and "Y", on all targets alike."""
+        """Numpy types of the structs "P", "S", "U" and "Y", the same on all targets."""
         return self.layout.dtypes(self.precision)
 
     @cached_property
@@ -82,7 +83,7 @@ class TargetInstance(Protocol):
 
     @property
     def structs(self) -> Mapping[str, NDArray[Any]]:
-        """The structs "P", "S", "U" and "Y": arrays of one element of `EmittedProgram.dtypes`, always the same."""
+        """The structs "P", "S", "U" and "Y": always the same arrays, of one element of `EmittedProgram.dtypes`."""
 
     def defaults(self) -> None:
         """Write the defaults of the given parameters into P."""
@@ -116,10 +117,10 @@ class Target(Protocol):
 
     @property
     def name(self) -> str:
-        """As in `build(..., target=name)`."""
+        """Name of the target, as in `build(..., target=name)`."""
 
     def compile(self, programs: Sequence[EmittedProgram]) -> Sequence[Backend]:
-        """Compile `programs`, which stand in one source, and return their backends.
+        """Compile `programs`, which share one source, and return their backends.
 
-        Raises CompileError if the tool chain is not there, with the package that gives it, or refuses the source.
+        Raises CompileError if the tool chain is missing, with the package to install, or refuses the source.
         """

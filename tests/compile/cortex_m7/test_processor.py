@@ -77,10 +77,10 @@ def test_one_row_is_read_or_written_at_each_step(u_rows: int, y_rows: int) -> No
 FAULTS = {
     "undefined instruction": STEP + '{ __asm__ volatile("udf #1"); }',
     "write into code": STEP + "{ *(volatile uint32_t *)0 = 1u; }",
-    "access to where nothing is": STEP + "{ y->a = *(volatile uint32_t *)0x30000000u; }",
+    "access to an address without memory": STEP + "{ y->a = *(volatile uint32_t *)0x30000000u; }",
     "even address": STEP + "{ ((void (*)(void))(uintptr_t)(u->a & ~1u))(); }",
-    "where none may be": STEP + "{ ((void (*)(void))0x60000001u)(); }",
-    "stack without memory": "volatile int deep = 1;\n"
+    "memory without code": STEP + "{ ((void (*)(void))0x60000001u)(); }",
+    "stack outside of memory": "volatile int deep = 1;\n"
     "__attribute__((noinline)) int down(int n) { volatile int room[64]; room[n & 63] = n;"
     " return deep ? down(n + 1) + room[0] : 0; }\n" + STEP + "{ y->a = (uint32_t)down(0); }",
 }
@@ -95,7 +95,7 @@ def test_a_fault_names_its_cause_and_the_registers(words: str) -> None:
     found = re.search(r"pc=([0-9a-f]{8}).* cfsr=([0-9a-f]{8})", str(caught.value))
     assert found is not None
     assert int(found[2], 16) != 0
-    if words in ("undefined instruction", "write into code", "access to where nothing is"):
+    if words in ("undefined instruction", "write into code", "access to an address without memory"):
         start = symbol(made, "hand_step")
         assert start <= int(found[1], 16) < start + 32
 
@@ -155,9 +155,9 @@ def test_what_the_emulator_said_before_its_end_is_read(monkeypatch: pytest.Monke
     ("script", "words"),
     [
         ("echo no such board >&2; exit 3", "ended with status 3: no such board"),
-        ("kill -9 $$", "ended with status -9: without a word"),
-        ("exec sleep 1000", "said nothing for 1 s"),
-        ("printf 'garbage garbage garbage' > from_target; exec sleep 1000", "an answer of kind"),
+        ("kill -9 $$", "ended with status -9: no message"),
+        ("exec sleep 1000", "sent nothing for 1 s"),
+        ("printf 'garbage garbage garbage' > from_target; exec sleep 1000", "an unknown answer of kind"),
         (r"printf '\001\000\000\000\004\000\000\000abc' > from_target; exit 1", "ended with status 1"),
         (
             r"printf '\002\000\000\000\010\000\000\000abcdefgh' > from_target; exec sleep 1000",
@@ -173,7 +173,7 @@ def test_a_broken_emulator_is_an_error(
     fake.write_text(f"#!/bin/sh\n{script}\n")
     fake.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    monkeypatch.setattr(board, "SILENCE", 1.0 if "said nothing" in words else PATIENCE_S)
+    monkeypatch.setattr(board, "SILENCE", 1.0 if "sent nothing" in words else PATIENCE_S)
     with Processor(made) as processor, pytest.raises(ControllerFault, match=words):
         processor.call(0, DEFAULTS, pair(), pair())
 

@@ -109,7 +109,7 @@ def test_the_bytes_are_those_of_what_is_called_and_read(compiler: str) -> None:
     assert (sizes.rodata, sizes.data, sizes.bss) == (1000, 0, 40)
     assert 10 <= sizes.text <= 200
     assert usage.sizes(["hand_step", "unused"]).rodata == 3000
-    with pytest.raises(CompileError, match="does not have the function 'hand_stop'"):
+    with pytest.raises(CompileError, match="has no function 'hand_stop'"):
         usage.sizes(["hand_stop"])
 
 

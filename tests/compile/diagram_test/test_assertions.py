@@ -50,7 +50,7 @@ def test_what_stays_within_limits_does_so_at_each_tick(
     ):
         meant = assertion(text + when)
         if not any(first <= k * DT <= last for k in range(9)):
-            with pytest.raises(DiagramError, match="no tick lies there"):
+            with pytest.raises(DiagramError, match="no tick is within these times"):
                 meant.judge(np.array(values), DT)
             continue
         found = meant.judge(np.array(values), DT)

@@ -127,7 +127,7 @@ TEST = '[[test]]\nname = "t"\nduration = 1.0\n'
         (TEST + 'inputs.u = { csv = "/etc/passwd", column = "u", between = "hold" }\n', "not in the folder"),
         (TEST + 'inputs.u = { csv = "a\\u0000b", column = "u", between = "hold" }\n', "not in the folder"),
         (TEST + 'inputs.u = { points = [[1e308, 1.0]], between = "hold" }\n', "do not increase to at most"),
-        (TEST + '[test.table]\nbetween = "hold"\ncsv = "data/in.csv"\n', "table: it does not say a tolerance"),
+        (TEST + '[test.table]\nbetween = "hold"\ncsv = "data/in.csv"\n', "table: it has no tolerance"),
         (TEST + '[test.table]\nabsolute = 0\ncsv = "data/in.csv"\n', "table, between: it is missing"),
         (TEST + '[test.table]\nabsolut = 0\nbetween = "hold"\n', "table, absolut: .*did you mean 'absolute'"),
         (
@@ -135,9 +135,12 @@ TEST = '[[test]]\nname = "t"\nduration = 1.0\n'
             "table, absolute.float: Input should be a valid num",
         ),
         (TEST + '[test.table]\nabsolute = {y = "1"}\nbetween = "hold"\n', "table, absolute.*y: Input .*given: '1'"),
-        (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\n', "one of both"),
-        (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncsv = "data/in.csv"\nrows = []\n', "one of both"),
-        (TEST + '[test.table]\nabsolute = {Y = 1}\nbetween = "hold"\ncsv = "data/in.csv"\n', "of 'Y', which is not"),
+        (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\n', "either a CSV file or rows"),
+        (
+            TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncsv = "data/in.csv"\nrows = []\n',
+            "either a CSV file or rows",
+        ),
+        (TEST + '[test.table]\nabsolute = {Y = 1}\nbetween = "hold"\ncsv = "data/in.csv"\n', "for 'Y', which is not"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["y"]\nrows = [[1.0]]\n', "first column"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["tick"]\nrows = [[0.5]]\n', "not increase"),
         (
@@ -161,7 +164,7 @@ def test_a_wrong_table_is_refused(tmp_path: Path) -> None:
     for content, what in (
         (b"time,y\n1,0\n0,0\n", "does not increase"),
         (b"time,y\nnan,0\n", "does not increase"),
-        (b"time,y,y\n0,0,0\n", "3 columns, 2 names"),
+        (b"time,y,y\n0,0,0\n", "two columns have the same name"),
         (b"time,y\n0\n", "1 cells for 2"),
         (b"\xff\xfe", "in.csv: cannot be read: 'utf-8' codec can't decode byte 0xff"),
         (b'time,"y\n', "in.csv: cannot be read: unexpected end of data"),

@@ -210,7 +210,7 @@ def test_integers_are_held_and_must_be_whole() -> None:
         (Scenario("x", 1.0, {"q": 1.0}, checks=["y never above 1"]), "there is no input 'q'"),
         (Scenario("x", 1.0, checks=["z never above 1"]), "there is no output 'z'"),
         (Scenario("x", 1.0, checks=["gain.z never above 1"]), "gain.z"),
-        (Scenario("x", 1.0, {"r": 1.0}), "claims nothing"),
+        (Scenario("x", 1.0, {"r": 1.0}), "checks nothing"),
         (Scenario("x", checks=["y never above 1"]), "no duration"),
         (Scenario("x", 1e9, checks=["y never above 1"]), "run 1 to"),
         (Scenario("x", math.nan, checks=["y never above 1"]), "run 1 to"),
@@ -219,7 +219,7 @@ def test_integers_are_held_and_must_be_whole() -> None:
         (Scenario("x", table=ExpectedTable(table_of({"time": [0.01], "r": [1], "y": [0]}))), "not at 0"),
         (Scenario("x", table=ExpectedTable(table_of({"time": [0.005], "y": [0]}))), "between two ticks"),
         (Scenario("x", 0.1, table=ExpectedTable(table_of({"time": [0.5], "y": [0]}))), "ends before"),
-        (Scenario("x", 0.1, {"r": 1}, table=ExpectedTable(table_of({"time": [0], "r": [1], "y": [0]}))), "fed twice"),
+        (Scenario("x", 0.1, {"r": 1}, table=ExpectedTable(table_of({"time": [0], "r": [1], "y": [0]}))), "given twice"),
     ],
 )
 def test_a_scenario_that_does_not_fit_is_refused(scenario: Scenario, what: str) -> None:

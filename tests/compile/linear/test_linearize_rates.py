@@ -178,7 +178,7 @@ def test_rates_that_hardly_ever_meet_are_refused_with_a_remedy() -> None:
     for divider in (97, 89):
         d.add(f"r{divider}", lib.RateTransition(), rate=(divider, 0), u="u")
         d.output(f"y{divider}", f"r{divider}")
-    with pytest.raises(DiagramError, match=r"after 8633 ticks.*r97 runs at \(97, 0\).*ask for fewer outputs"):
+    with pytest.raises(DiagramError, match=r"every 8633 ticks.*r97 runs at \(97, 0\).*ask for fewer outputs"):
         linearize(d, DT)
     assert linearize(d, DT, outputs=["y", "y97"]).dt == pytest.approx(97 * DT)
 
@@ -208,16 +208,16 @@ def test_an_index_that_never_comes_round_is_named_and_holding_it_is_refused(monk
     """If it is held, what is written is never read: B was 0 without a word."""
     monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)
     with pytest.raises(
-        DiagramError, match=r"bool states count do not stay or come round.*depends on them: y \(let count come"
+        DiagramError, match=r"bool states count neither settle nor repeat.*depend on them: y \(let count wrap"
     ):
         linearize(chain(Recorder()), DT)
-    with pytest.raises(DiagramError, match="what is written would never be read") as found:
+    with pytest.raises(DiagramError, match="written samples would never be read") as found:
         linearize(chain(Recorder()), DT, at={"b0.count": 100})
     assert found.value.where == "b0.count"
 
 
 def test_a_tick_that_moves_the_model_is_refused_unless_it_is_given() -> None:
-    with pytest.raises(DiagramError, match="the tick moves the model") as found:
+    with pytest.raises(DiagramError, match="the linear model changes with the tick") as found:
         linearize(chain(Recorder(ticks=True)), DT)
     assert found.value.where == "b0"
     model = linearize(chain(Recorder(ticks=True)), DT, at={"tick": 3})
@@ -279,7 +279,7 @@ class Bent(Block):
 
 
 def test_a_counter_that_moves_the_model_is_refused() -> None:
-    for round_, why in ((10, "a whole-number state moves, and the model"), (101, "count come round after 101 periods")):
+    for round_, why in ((10, "state changes, and the linear model"), (101, "count repeat after 101 periods")):
         with pytest.raises(DiagramError, match=why):
             linearize(chain(Bent(2.0, round_, kink=False), lib.DiscreteFilter((0.5,), (1.0, -0.5))), DT)
 

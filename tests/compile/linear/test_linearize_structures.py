@@ -123,7 +123,7 @@ def test_a_structure_is_its_textbook_plant_behind_a_hold_and_its_delay(name: str
 
 def test_held_by_dry_friction_it_is_refused() -> None:
     """At rest, pushed less than the friction holds, the compiled structure does not move: 0, and beside it not 0."""
-    with pytest.raises(DiagramError, match="what rests there goes on resting") as found:
+    with pytest.raises(DiagramError, match="a state at rest there stays at rest") as found:
         linearize(free_response().diagram, DT)
     assert found.value.where == "plant"
     assert "take out the friction" in found.value.remedy

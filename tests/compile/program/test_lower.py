@@ -93,10 +93,10 @@ REFUSED = [
     (starting({"y": 2.0}), "part.gain.y", "sub.part.gain.y starts at 2.0 and at 1.0"),
     (starting({"y": [1.0, 2.0]}), "part.y", "it takes real"),
     (starting({"y": True}), "part.y", "bool"),
-    (starting({"through": 0.0}), "part.through", "nothing inside computes it"),
+    (starting({"through": 0.0}), "part.through", "no part inside computes this output"),
     (enabled_in_enabled({"y": 2.0}), "part.*y", "gain.y is reset to (3.0 and to 2.0|2.0 and to 3.0)"),
     (enabled_in_enabled({"y": [1.0, 2.0]}), "part.*y", "it takes real"),
-    (enabled_in_enabled({"through": 0.0}), "part.*through", "nothing inside computes it"),
+    (enabled_in_enabled({"through": 0.0}), "part.*through", "no part inside computes this output"),
 ]
 
 

@@ -59,7 +59,7 @@ def test_roles() -> None:
 @pytest.mark.parametrize(
     ("inputs", "outputs", "what"),
     [
-        ({"roll": {}}, ("M",), "nothing for its input 'roll'"),
+        ({"roll": {}}, ("M",), "no signal for its input 'roll'"),
         ({"theta": {"kind": "int32"}}, ("M",), "'theta' is int32"),
         ({"theta": {"width": 2}}, ("M",), "'theta' is real of 2"),
         ({"theta": {"unit": "deg"}}, ("M",), "'theta' is in deg"),

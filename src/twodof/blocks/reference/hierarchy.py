@@ -148,7 +148,7 @@ class DiagramLevel:
             if found is None:
                 raise not_connected(end, f"{path}.{port}")
             level, text = child, found
-        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
+        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "put a block into the loop")
 
 
 MAX_DEPTH = 64
@@ -186,7 +186,7 @@ class Hierarchy:
         self.levels.append(level)
         diagram, path, prefix = level.diagram, level.path, f"{level.path}." if level.parent else ""
         if prefix.count(".") > MAX_DEPTH:
-            raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
+            raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "use fewer levels")
         roots = {name: self._root(prefix + name, p, bound.get(name)) for name, p in diagram.params.items()}
         for p in diagram.parts.values():
             for outer in p.params.values():
@@ -254,7 +254,7 @@ class Hierarchy:
                 raise not_connected("output", where)
             port = part.resolve(source)
         if isinstance(port, str) or not str(port).startswith(f"{part.path}."):
-            raise DiagramError("nothing inside computes it: it holds nothing", where, f"leave its {what} out")
+            raise DiagramError("no part inside computes this output", where, f"leave its {what} value out")
         value = check_initial(value, port.declared, where)
         told = port.cell.initial if what == "initial" else port.cell.disabled
         held = told.setdefault(port.port, value)
@@ -342,7 +342,7 @@ class Hierarchy:
                 rate = BASE if isinstance(driver, str) else driver.cell.rate
                 if rate != cell.rate and driver not in constant and not cell.block.crossing:
                     raise DiagramError(
-                        f"it runs at {tuple(cell.rate)} and {driver} at {tuple(rate)}",
+                        f"it runs at {tuple(cell.rate)}, and its signal {driver} at {tuple(rate)}",
                         f"{cell.path}.{name}",
                         "put a ZeroOrderHold or RateTransition between them",
                     )
@@ -374,7 +374,7 @@ class Hierarchy:
             for name, source in level.diagram.outputs.items():
                 found |= level.spread(f"{level.path}.{name}", source) if source else {}
             if len(found) > MAX_SIGNALS:
-                raise DiagramError(f"more than {MAX_SIGNALS} signals", self.root.path, "use arrays")
+                raise DiagramError(f"it has more than {MAX_SIGNALS} signals", self.root.path, "use arrays")
         return found
 
     def signal(self, path: str) -> dict[str, PortOf | str]:

@@ -104,7 +104,7 @@ class Loader:
     def diagram(self, data: dict[str, Any], path: str = "", depth: int = 0) -> Diagram:
         """Return the diagram that `data` describes, at `path` and `depth` within another one. Raises DiagramError."""
         if depth > MAX_DEPTH:
-            raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
+            raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "use fewer levels")
         given = read(data, "a diagram", _DIAGRAM, path or "diagram")
         d = Diagram(given["name"], text(given["text"], MAX_TEXT, path or "diagram", lines=True))
         path = path or d.name

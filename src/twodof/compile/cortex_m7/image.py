@@ -36,7 +36,7 @@ OPTIMISE = "-O2"
 def find_cross_compiler(name: str | None = None) -> Compiler:
     """Return the cross compiler `name` ("gcc" or "zig"), or else the first that is installed.
 
-    Raises CompileError, with the package that gives it, if it is not there.
+    Raises CompileError, which names the package to install, if there is none.
     """
     if name not in (None, "gcc", "arm-none-eabi-gcc", "zig"):
         raise CompileError(f"{name!r:.80} is not a cross compiler for the Cortex-M7", "", "name gcc or zig")
@@ -53,11 +53,11 @@ def find_cross_compiler(name: str | None = None) -> Compiler:
 
 @dataclass(frozen=True)
 class Image:
-    """An image with its parts.
+    """An image for the processor, with its parts.
 
-    `elf` is the whole image; `objects` are the object files of `CALLED`, the programs' own C first. `stack_usage` has
-    gcc's report on the frames of their functions (clang's is in the objects). `names` and `sizes` are those of the
-    programs in the image's order.
+    `elf` is the whole image; `objects` are the object files of `CALLED`, first that of the programs' own C.
+    `stack_usage` is gcc's report on the stack frames of their functions (clang's is in the objects). `names` and
+    `sizes` [bytes] are those of the programs, in the image's order.
     """
 
     elf: bytes
@@ -77,10 +77,10 @@ def build_image(
     flags: Sequence[str] = (),
     libraries: Sequence[str] = (),
 ) -> Image:
-    """Build the image of the C `source`. Each program has the prefix of its names and the bytes of real, P, S, U and Y.
+    """Build the image of the C `source`; each program is (prefix of its names, sizes of real, P, S, U and Y [bytes]).
 
-    `flags` are added for the source, `libraries` to the link. Raises CompileError if the compiler refuses or hangs, or
-    if the code and constants do not fit into 4 MB.
+    `flags` are further options for the source, `libraries` for the linker. Raises CompileError if the compiler refuses
+    the C or hangs, or if code and constants do not fit into 4 MB.
     """
     names = tuple(name for name, _ in programs)
     table = "".join(f"DECLARE_PROGRAM({n})\n" for n in names)
@@ -146,8 +146,8 @@ def _command(compiler: Compiler, arguments: Sequence[str], folder: Path) -> None
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
         if re.search(r"overflowed by|will not fit in region", said):
-            what = f"code and constants do not fit into the 4 MB there are: {said[-300:]}"
+            what = f"code and constants do not fit into the board's 4 MB: {said[-300:]}"
             raise CompileError(what, compiler.name, "build fewer diagrams at once, or with -Os")
-        what = f"it refused what was generated: {said or f'exit status {done.returncode}'}"
+        what = f"it refused the generated C: {said or f'exit status {done.returncode}'}"
         remedy = "check that the compiler works; if it does, this is a fault of twodof"
         raise CompileError(what, compiler.name, remedy)

@@ -25,7 +25,7 @@ from twodof.errors import CompileError, ControllerFault
 EMULATOR = "qemu-system-arm"
 DATA, END, REFUSED, FAULT = 1, 2, 3, 4
 SILENCE = 60.0
-"""Seconds without a byte from the processor after which it is given up: it sends something every 256 steps."""
+"""Longest wait for a byte from the processor [s]; it sends something every 256 steps."""
 MOST_FRAME = 2**24
 _COUNTING = ("-icount", "shift=10,align=off,sleep=off")  # an instruction takes 2^10 ns
 _PIPE = 65_536
@@ -34,17 +34,17 @@ _PIPE = 65_536
 _REGISTERS = ["r0", "r1", "r2", "r3", "r12", "lr", "pc", "xpsr", "sp", "exc_return", "cfsr", "hfsr", "mmfar", "bfar"]
 # Armv7-M Architecture Reference Manual (DDI 0403E), B3.2.15: Configurable Fault Status Register.
 _CAUSES = {
-    0: "instruction fetched where none may be",
-    1: "access to where nothing is, or write into code",
-    4: "stack without memory on entry to the exception",
-    8: "instruction fetched from where no memory is",
-    9: "access to where no memory is",
-    10: "access to where no memory is",
-    12: "stack without memory on entry to the exception",
+    0: "instruction fetched from memory without code",
+    1: "access to an address without memory, or write into code",
+    4: "stack outside of memory on entry to the exception",
+    8: "instruction fetched from an address without memory",
+    9: "access to an address without memory",
+    10: "access to an address without memory",
+    12: "stack outside of memory on entry to the exception",
     16: "undefined instruction",
-    17: "state that instructions cannot have (a jump to an even address)",
-    18: "wrong return from an exception",
-    19: "floating-point unit that is off",
+    17: "invalid processor state (a jump to an even address)",
+    18: "invalid return from an exception",
+    19: "floating-point instruction while the unit is off",
     24: "unaligned access",
     25: "division of integers by zero",
 }
@@ -92,14 +92,19 @@ class Board:
             processes.append(self._process)
         except OSError as error:
             self.stop()
-            raise CompileError(f"it does not start: {error}", emulator, "install qemu-system-arm again") from error
+            raise CompileError(
+                f"the emulator does not start: {error}", emulator, "install qemu-system-arm again"
+            ) from error
 
     def stop(self) -> None:
         """End the process and remove its files."""
         self._close()
 
     def transact(self, name: str, parts: Sequence[bytes], expected: int) -> tuple[bytes, tuple[int, int]]:
-        """Send `parts`, receive frames until the last one. See `Processor.run` for the errors."""
+        """Send `parts`; return the `expected` bytes of data and the content of the last frame.
+
+        See `Processor.run` for the errors.
+        """
         pending = memoryview(b"".join(parts))
         received = bytearray()
         data = bytearray()
@@ -108,8 +113,8 @@ class Board:
             ended = self._process.poll() is not None  # asked first: what it said before its end is then there to read
             left = SILENCE - (time.monotonic() - heard)
             if left <= 0 and not ended:
-                what = f"the emulated processor said nothing for {SILENCE:g} s"
-                raise ControllerFault(what, name, "is the machine overloaded?")
+                what = f"the emulated processor sent nothing for {SILENCE:g} s"
+                raise ControllerFault(what, name, "reduce the load of this computer, then try again")
             waiting = [self._out] if len(pending) else []
             readable, writable, _ = select.select([self._in], waiting, [], 0.0 if ended else min(left, 1.0))
             if writable and not ended:
@@ -141,7 +146,8 @@ class Board:
         while last is None and len(received) >= at + 8:
             kind, size = struct.unpack_from("<2I", received, at)
             if kind not in (DATA, END, REFUSED, FAULT) or (size > MOST_FRAME and size > expected):
-                raise ControllerFault(f"an answer of kind {kind} and {size} bytes", name, "report this as a fault")
+                what = f"the emulated processor sent an unknown answer of kind {kind} and {size} bytes"
+                raise ControllerFault(what, name, "report this as a fault")
             if len(received) < at + 8 + size:
                 break
             content = bytes(received[at + 8 : at + 8 + size])
@@ -151,9 +157,9 @@ class Board:
             elif kind == END:
                 last = struct.unpack("<2I", content)
             elif kind == FAULT:
-                raise ControllerFault(fault_text(content), name, "see what stands at pc in the image")
+                raise ControllerFault(fault_text(content), name, "find the function at pc in the image")
             else:
-                raise CompileError("its structs are of other sizes in the image", name, "report this as a fault")
+                raise CompileError("its structs have other sizes in the image", name, "report this as a fault")
         del received[:at]
         return last
 
@@ -162,14 +168,14 @@ class Board:
             self._process.wait(5.0)
         said = self._said.read_bytes()[:500].decode("utf-8", "replace").strip()
         return ControllerFault(
-            f"the emulator ended with status {self._process.returncode}: {said or 'without a word'}",
+            f"the emulator ended with status {self._process.returncode}: {said or 'no message'}",
             name,
-            f"see that {EMULATOR} works",
+            f"check that {EMULATOR} works",
         )
 
 
 def fault_text(data: bytes) -> str:
-    """Return the cause of a fault, the accessed address if the processor knows it, and all registers."""
+    """Return a text with the cause of a fault, the accessed address if known, and all registers."""
     words = dict(zip(_REGISTERS, struct.unpack("<14I", data), strict=True))
     status = words["cfsr"]
     causes = dict.fromkeys(text for bit, text in _CAUSES.items() if status >> bit & 1)
@@ -199,11 +205,11 @@ NANOSECONDS_PER_TICK = 40  # of the timer: 25 MHz
 
 
 class Processor:
-    """One emulated processor with `image` in its memory; it starts at the first call and stays until `close`.
+    """One emulated processor with `image` in its memory, from the first call until `close`.
 
-    The programs' structs stay here: each call carries them to the processor and back. With `counting` its clock counts
-    instructions (about half as fast). Calls of several threads wait for each other. Raises CompileError if the
-    emulator is missing.
+    The programs' structs are kept in Python: each call carries them to the processor and back. With `counting` the
+    clock counts instructions (about half as fast). Calls of several threads wait for each other. Raises CompileError if
+    the emulator is missing.
     """
 
     def __init__(self, image: Image, counting: bool = False) -> None:
@@ -214,7 +220,7 @@ class Processor:
         self._board: Board | None = None
 
     def close(self) -> None:
-        """Switch it off. The next call starts it again."""
+        """Switch the processor off; the next call starts it again."""
         with self._lock:
             self._off()
 
@@ -246,8 +252,8 @@ class Processor:
     ) -> int:
         """Run `steps` steps of the program with this index; `u` and `y` have `steps` rows or one.
 
-        Returns the used stack [bytes], found by painting it, with `watch`, else 0. Raises ControllerFault if the
-        program faults, with the registers; if the emulator ends; and after `SILENCE` seconds without an answer.
+        With `watch` return the stack that was used [bytes], else 0. Raises ControllerFault if the program faults, with
+        the registers; if the emulator ends; and after `SILENCE` seconds without an answer.
         """
         sent, filled = ([p, s, u], [y, s]) if steps else ([p, s], [s])
         depth, _ = self._exchange(program, RUN, sent, filled, steps, len(u) > 1, len(y) > 1, watch)
@@ -256,10 +262,10 @@ class Processor:
     def count(
         self, program: int, p: NDArray[np.void], s: NDArray[np.void], u: NDArray[np.void], steps: int
     ) -> tuple[NDArray[np.int64], int]:
-        """Run `steps` steps. Returns the instructions of each, (steps,), and the stack that they used [bytes].
+        """Run `steps` steps; return the number of instructions of each, (steps,), and the stack that was used [bytes].
 
-        Call and return are not counted. Raises CompileError for a processor that is not `counting`, and the errors
-        of `run`.
+        Call and return are not counted. Raises CompileError for a processor without `counting`, and the errors of
+        `run`.
         """
         if not self.counting:
             raise CompileError("this processor's clock does not count instructions", "", "make it with counting=True")
@@ -286,7 +292,7 @@ class Processor:
             what = f"its structs need {need} bytes; the board has {POOL}"
             raise CompileError(what, name, "make its delays and tables shorter")
         if not 0 <= steps <= MOST_STEPS:
-            raise CompileError(f"{steps} steps at once", name, f"at most {MOST_STEPS}")
+            raise CompileError(f"{steps} steps at once are out of bounds", name, f"run 0 to {MOST_STEPS}")
         request = struct.pack("<11I", operation, program, steps, u_rows, y_rows, watch, *sizes)
         parts = [request, *(part.tobytes() for part in sent)]
         with self._lock:

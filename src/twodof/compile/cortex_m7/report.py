@@ -87,7 +87,7 @@ def image_sizes(image: Image) -> SectionSizes:
 
 
 class Usage:
-    """The call graph of an image's programs: relocations say which section refers to which."""
+    """Memory and stack of the functions in an image, by their call graph, which the relocations of sections tell."""
 
     def __init__(self, image: Image) -> None:
         self.image = image
@@ -100,7 +100,7 @@ class Usage:
                     self._defined.setdefault(symbol.name, (i, section))
 
     def sizes(self, functions: Sequence[str]) -> SectionSizes:
-        """Return the sizes of the functions, the functions that they call and the constants that they read."""
+        """Return the total sizes of the functions, of those that they call and of the constants that they read."""
         found: set[Place] = set()
         stack = [self._place(name) for name in functions]
         while stack:
@@ -111,11 +111,10 @@ class Usage:
         return _summed(self.files[i].sections[j] for i, j in found)
 
     def stack(self, function: str) -> int | None:
-        """Return the bound of the stack [bytes] of a call of `function`: the largest sum of frames in its call graph.
+        """Return a bound of the stack [bytes] of a call of `function`: the largest sum of frames in its call graph.
 
-        None stands for no bound: recursion, frames of variable size, library functions without a figure. A static
-        function that calls itself leaves no relocation and is missed; emitted C never does that.
-        Interrupts come on top.
+        None means no bound: recursion, frames of variable size, or library functions of unknown frame. A static
+        function that calls itself leaves no relocation and is missed; emitted C has none. Interrupts need more.
         """
         return self._depth(self._place(function), {}, frozenset())
 
@@ -130,7 +129,7 @@ class Usage:
 
     def _place(self, name: str) -> Place:
         if name not in self._defined:
-            raise CompileError(f"the image does not have the function {name!r:.80}", "", "name one that the C exports")
+            raise CompileError(f"the image has no function {name!r:.80}", "", "name a function that the C exports")
         return self._defined[name]
 
     def _referred(self, place: Place) -> list[Place]:
@@ -214,8 +213,8 @@ class CortexM7Report:
 
     `code` counts its four functions (defaults, prepare, init, step) and their callees, `step` the step and its
     callees, `image` the whole image with start-up and server. `structs` has the bytes of P, S, U and Y. `stack` is
-    the bound of a step by the call graph (None: unknown) and `stack_seen` the stack of the steps that were run, both
-    without interrupts. `instructions` has the count of each of these steps, (steps,), without call and return.
+    the bound of a step by the call graph (None: unknown), `stack_seen` the stack that the measured steps used, both in
+    bytes and without interrupts. `instructions` (steps,) are those of each measured step, without call and return.
     """
 
     name: str
@@ -237,7 +236,7 @@ class CortexM7Report:
 
     @property
     def ram(self) -> int:
-        """Bytes of RAM of one instance: its structs and the code's variables; the stack comes on top."""
+        """Bytes of RAM of one instance: its structs and the code's variables, without the stack."""
         return sum(self.structs.values()) + self.code.ram
 
     def to_json(self) -> dict[str, Any]:
@@ -273,9 +272,11 @@ def measure(
     """
     backend = program.backend
     if not isinstance(backend, CortexM7Backend):
-        raise CompileError("it is built for another target", program.flat.name, 'build it with target="cortex-m7"')
+        raise CompileError(
+            "the program is built for another target", program.flat.name, 'build it with target="cortex-m7"'
+        )
     if steps < 1:
-        raise CompileError(f"{steps} steps to measure", program.flat.name, "ask for at least one")
+        raise CompileError(f"{steps} steps cannot be measured", program.flat.name, "ask for at least one")
     image = backend.processor.image
     with Processor(image, counting=True) as processor:
         counting = CompiledProgram(program.emitted, CortexM7Backend(program.emitted, processor, backend.index))

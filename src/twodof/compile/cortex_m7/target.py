@@ -20,8 +20,8 @@ from twodof.errors import ControllerFault
 class CortexM7:
     """Cortex-M7 machine code (FPv5 with doubles) on QEMU's board mps2-an500.
 
-    `compiler` is "gcc" (arm-none-eabi-gcc) or "zig"; None takes the first that is there. All programs of one source
-    share an image and an emulator, which starts at the first call (some .2 s); a call then costs about 1 ms.
+    `compiler` is "gcc" (arm-none-eabi-gcc) or "zig", by default the first that is installed. All programs of one source
+    share an image and an emulator, which starts at the first call (some .2 s); a call then takes about 1 ms.
     """
 
     compiler: str | None = None
@@ -32,8 +32,8 @@ class CortexM7:
     def compile(self, programs: Sequence[EmittedProgram]) -> list[CortexM7Backend]:
         """Compile the programs of one source into one image.
 
-        Raises CompileError without a cross compiler or QEMU, with the package that gives it; if the compiler refuses;
-        if the code does not fit.
+        Raises CompileError, which names the package to install, without a cross compiler or QEMU; and if the compiler
+        refuses the C or the code does not fit.
         """
         found = find_cross_compiler(self.compiler)
         named = [(program.name, program.sizes) for program in programs]
@@ -57,7 +57,7 @@ class CortexM7Backend:
 
 
 class CortexM7Instance:
-    """Running program with structs in Python's memory, which travel to the processor and back with each call.
+    """Running program with structs in Python's memory, which each call carries to the processor and back.
 
     After a ControllerFault every further call raises it again, and the structs are as before the faulty call.
     """
@@ -89,7 +89,7 @@ class CortexM7Instance:
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
         """Run `steps` ticks on the rows of `u` (or on its one row) into those of `y`.
 
-        A processor that counts gives the instructions of each and the stack that they used instead of outputs.
+        If the processor counts, `y` is not written; `instructions` of each step and the used `stack` are set instead.
         """
         p, s = self.structs["P"], self.structs["S"]
         with self._watched():

@@ -69,10 +69,10 @@ def element_of(signals: Mapping[str, NDArray[Any]], text: str, where: str) -> ND
 
 @dataclass(frozen=True)
 class Judgement:
-    """Result of one assertion; `text` says it in words.
+    """Result of one assertion, which `text` describes.
 
-    `tick`, `time` [s] and `value` are those of the first violation. The value passed `limit` by `by` (NaN for a NaN).
-    All are None for an assertion that holds.
+    `tick`, `time` [s] and `value` are those of the first violation. The value is beyond `limit` by `by` (NaN for a
+    NaN). All five are None for an assertion that holds.
     """
 
     check: str
@@ -94,7 +94,7 @@ def first_violation(
     ticks: NDArray[np.int64],
     dt: float,
 ) -> Judgement:
-    """Return the judgement of a failed assertion: `values` passed `limits` at `ticks`, one row a violation."""
+    """Return the judgement of a failed assertion: its `values` are beyond `limits` at `ticks`, (n,) each."""
     with np.errstate(over="ignore"):
         by = np.abs(values - limits)
     worst = int(np.argmax(np.where(np.isnan(by), np.inf, by)))
@@ -128,7 +128,10 @@ class Assertion:
     stop: float | None = None
 
     def judge(self, values: NDArray[np.float64], dt: float) -> Judgement:
-        """Judge the signal's `values`, one for each tick of `dt` [s] from 0. Raises DiagramError for other times."""
+        """Judge the signal's `values`, one for each tick of `dt` [s] from 0.
+
+        Raises DiagramError if the claim's times contain no tick or are after the last one.
+        """
         final = len(values) - 1
         reaches = self.verb in ("rises", "falls")
         first = final if self.verb == "final" else 0 if self.start is None else first_tick(self.start, dt)
@@ -136,7 +139,7 @@ class Assertion:
         if self.stop is not None:
             last = first_tick(self.stop, dt) - 1 if reaches else last_tick(self.stop, dt)
         if not first <= last <= final:
-            what = "no tick lies there" if last <= final else "it is about later times"
+            what = "no tick is within these times" if last <= final else "it needs later times"
             remedy = "change the times, or give a longer duration"
             raise DiagramError(f"{what}: the scenario ends at {final * dt:g} s", self.text, remedy)
         within = (values >= self.low) & (values <= self.high)

@@ -29,8 +29,9 @@ from twodof.compile.diagram_test.scenario import Scenario
 class Decision:
     """One decision of the block or sub-diagram at `path`.
 
-    `kind` is "condition", "enable", "reset" or "trigger". `place` is the user's line, or the method and the name for
-    which the condition is first used. `sides` names the two ways; `number` tells decisions of one path apart.
+    `kind` is "condition", "enable", "reset" or "trigger". `place` is the line in the user's file, or the block's method
+    and the output or state where the condition is first used. `sides` names the two sides; `number` distinguishes the
+    decisions of one path.
     """
 
     kind: str
@@ -48,23 +49,23 @@ class Coverage:
     taken: dict[Decision, set[int]] = field(default_factory=dict)
 
     def add(self, other: "Coverage") -> None:
-        """Add the sides that other tests of the same diagram took."""
+        """Add the sides that other tests of the same diagram have taken."""
         for decision, sides in other.taken.items():
             self.taken.setdefault(decision, set()).update(sides)
 
     @property
     def sides(self) -> int:
-        """The number of sides."""
+        """Number of sides of all decisions."""
         return sum(len(decision.sides) for decision in self.taken)
 
     @property
     def share(self) -> float:
-        """The share of sides that were taken; 1 for a diagram without decisions."""
+        """Share of the sides that were taken; 1 for a diagram without decisions."""
         return sum(map(len, self.taken.values())) / self.sides if self.taken else 1.0
 
     @property
     def missing(self) -> list[tuple[Decision, str]]:
-        """The sides that were never taken, in the order of the diagram."""
+        """Decisions with a side that was never taken, in the order of the diagram."""
         return [(d, side) for d, taken in self.taken.items() for i, side in enumerate(d.sides) if i not in taken]
 
 

@@ -40,17 +40,17 @@ from twodof.errors import DiagramError, ParameterError, nearest, printable, show
 
 REFERENCE = "reference"
 DT = 0.004
-"""The control period [s], and the base tick of tests without another one."""
+"""Default base tick of tests [s]: the control period."""
 MAX_TICKS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A scenario that fits a diagram.
+    """A scenario prepared for a diagram.
 
-    `inputs` are arrays of `steps` rows in the ports' types. `expected` has the signal's name (or path, perhaps with an
-    index) for each column of its table that is expected. `paths` are the signals to log, `enumerations` those of
-    claimed signals, by name.
+    `inputs` are arrays of `steps` rows in the ports' types. `expected` maps each column of expected values in the table
+    to its signal: a name or path, perhaps with an index. `paths` are the signals to log, `enumerations` those of the
+    signals that are checked, by name.
     """
 
     scenario: Scenario
@@ -78,7 +78,8 @@ def run_scenarios(
     """Run each scenario from the initial state at the base tick `dt` [s], and judge it.
 
     `target` is "reference", or one of `build`: "native", "wasm", "cortex-m7"; all give the same bits. Raises
-    DiagramError for a scenario that does not fit the diagram, ParameterError for a parameter, errors of `build`.
+    DiagramError for a scenario that does not fit the diagram, ParameterError for a wrong parameter, and the errors of
+    `build`.
     """
     plans = [plan(diagram, scenario, dt) for scenario in scenarios]
     paths = sorted(frozenset[str]().union(*(p.paths for p in plans)))
@@ -91,7 +92,7 @@ def run_scenarios(
 
 
 def run_plan(planned: Plan, machine: Machine) -> dict[str, NDArray[Any]]:
-    """Run a scenario on a fresh machine. Returns its signals by name, each of `steps` rows."""
+    """Run a scenario on a fresh machine, and return its signals by name, each of `steps` rows."""
     if planned.scenario.parameters:
         try:
             machine.set_many(planned.scenario.parameters)
@@ -134,10 +135,10 @@ def _with_names(judgement: Judgement, enumeration: Enumeration | None) -> Judgem
 
 
 def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
-    """Fit `scenario` to `diagram` at the base tick `dt` [s].
+    """Prepare `scenario` for `diagram` at the base tick `dt` [s].
 
-    Raises DiagramError for a scenario that claims nothing, an unknown input or output, an input that is fed twice, and
-    values that are not of an input's type.
+    Raises DiagramError for a scenario without checks, an unknown input or output, an input that is given twice, and
+    values that do not fit an input's type.
     """
     steps = _steps(scenario, dt)
     inputs: dict[str, NDArray[Any]] = {}
@@ -145,7 +146,7 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
 
     def feed(name: str, index: Index, values: NDArray[np.float64], where: str) -> None:
         if (name, index) in fed:
-            raise DiagramError("the input is fed twice", where, "keep one of the two")
+            raise DiagramError("the input is given twice", where, "keep one of the two")
         fed.add((name, index))
         element: tuple[Any, ...] = (slice(None), *index)
         inputs.setdefault(name, np.zeros((steps, *axes(diagram.inputs[name]))))[element] = values
@@ -182,7 +183,7 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     checks = tuple(assertion(c, member) if isinstance(c, str) else c for c in scenario.checks)
     claimed = {signal: what for what, signal in expected.items()} | {check.signal: check.text for check in checks}
     if not claimed:
-        raise DiagramError("it claims nothing", scenario.name, "add checks, or a table with a column of an output")
+        raise DiagramError("it checks nothing", scenario.name, "add checks, or a table with a column of an output")
     names = {parse_element(signal, scenario.name)[0]: what for signal, what in claimed.items()}
     for name, what in names.items():
         if name not in diagram.outputs and "." not in name:
@@ -201,9 +202,10 @@ def _steps(scenario: Scenario, dt: float) -> int:
     elif scenario.table is not None:
         last = int(scenario.table.table.ticks_of(dt)[-1])
     else:
-        raise DiagramError("it has no duration", scenario.name, "say how many seconds it lasts")
+        raise DiagramError("it has no duration", scenario.name, "give its duration in seconds")
     if not 0 <= last < MAX_TICKS:
-        raise DiagramError(f"a duration of {shown(scenario.duration)} s", scenario.name, f"run 1 to {MAX_TICKS} ticks")
+        what = f"the duration of {shown(scenario.duration)} s is out of bounds"
+        raise DiagramError(what, scenario.name, f"run 1 to {MAX_TICKS} ticks")
     return last + 1
 
 
@@ -258,7 +260,7 @@ def _of_table(given: ExpectedTable, column: str, port: Port, steps: int, dt: flo
     if len(rows) < len(ticks):
         raise DiagramError("a cell of an input is empty", where, "fill it, or take the input out of the table")
     if ticks[0] != 0:
-        raise DiagramError("the first row is not at 0", where, "say what the input is from the start on")
+        raise DiagramError("the first row is not at 0", where, "add a row at 0 with the input's first value")
     return between_rows(ticks, values, steps, given.between if port.kind in FLOATS else "hold")
 
 

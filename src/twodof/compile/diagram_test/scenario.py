@@ -22,11 +22,11 @@ Array = NDArray[np.float64]
 Between = Literal["hold", "interpolate"]
 BETWEEN: tuple[Between, ...] = ("hold", "interpolate")
 MAX_TIME = 1e9
-"""In seconds or ticks."""
+"""Largest time of a row or point, in seconds or ticks."""
 MAX_HZ = 1e9
 
 INPUT, OUTPUT = "input ", "output "
-"""Prefixes of a column's name, for a diagram with an input and an output of one name."""
+"""Prefixes of a column's name, for a diagram with an input and an output of the same name."""
 
 
 class InputSignal(Protocol):
@@ -38,7 +38,7 @@ class InputSignal(Protocol):
 
 @dataclass(frozen=True)
 class StepInput:
-    """`before`, and `to` from the first tick at or after `at` [s] on."""
+    """Step from the value `before` to the value `to`, at the first tick at or after `at` [s]."""
 
     to: float
     at: float = 0.0
@@ -54,7 +54,7 @@ class StepInput:
 
 @dataclass(frozen=True)
 class RampInput:
-    """`before` until `start` [s], then a change by `slope` [1/s] until `stop` [s]."""
+    """Ramp: the value `before` until `start` [s], then a change by `slope` [1/s] until `stop` [s]."""
 
     slope: float
     start: float = 0.0
@@ -64,7 +64,9 @@ class RampInput:
     def __post_init__(self) -> None:
         _check_finite("ramp", self.slope, self.start, self.before)
         if not self.stop >= self.start:
-            raise DiagramError(f"it stops at {self.stop} s and starts at {self.start} s", "ramp", "start it before")
+            raise DiagramError(
+                f"it stops at {self.stop} s and starts at {self.start} s", "ramp", "stop after the start"
+            )
 
     def values(self, steps: int, dt: float, whole: bool = False) -> Array:
         """Return the values at the ticks 0 .. steps - 1."""
@@ -76,7 +78,7 @@ class RampInput:
 
 @dataclass(frozen=True)
 class SineInput:
-    """offset + amplitude sin(2 pi hz t + phase), `phase` in rad."""
+    """Sine: offset + amplitude sin(2 pi hz t + phase), `phase` in rad."""
 
     amplitude: float
     hz: float
@@ -129,7 +131,7 @@ def _check_finite(what: str, *given: float) -> None:
 def check_choice(name: str, value: object, choices: Sequence[str], where: str) -> None:
     """Raise DiagramError unless `value` is one of `choices`."""
     if value not in choices:
-        raise DiagramError(f"{name} = {shown(value)}", where, f"write one of {' or '.join(choices)}")
+        raise DiagramError(f"{name} = {shown(value)} is unknown", where, f"write {' or '.join(choices)}")
 
 
 def _whole_ticks(ticks: Array) -> Array:
@@ -166,11 +168,11 @@ class SignalTable:
     cells: Mapping[str, Sequence[float | str | None]]
 
     def ticks_of(self, dt: float) -> Array:
-        """Return the rows' places in ticks of `dt` [s], which may lie between two ticks."""
+        """Return the rows' times in ticks of `dt` [s]; a time between two ticks is a fraction."""
         return self.at if self.ticks else _whole_ticks(self.at / dt)
 
     def column(self, name: str, enumeration: Enumeration | None = None) -> tuple[NDArray[np.int64], Array]:
-        """Return the rows in which the column has a cell, and the cells' numbers."""
+        """Return the indices of the rows in which the column has a cell, and the numbers in these cells, (n,) each."""
         if name not in self.cells:
             there = f"there are: {nearest(name, self.cells)}"
             raise DiagramError(f"there is no column {shown(name)}", self.name, there)
@@ -216,7 +218,7 @@ def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str
             what = f"{len(row)} cells for {len(heads)} columns"
             raise DiagramError(what, f"{name}, row {i}", "fill each column; empty is allowed")
     if len(set(heads)) < len(heads):
-        raise DiagramError(f"{len(heads)} columns, {len(set(heads))} names", name, "give each its own name")
+        raise DiagramError("two columns have the same name", name, "give each column its own name")
     return table_of({head: [row[j] for row in rows] for j, head in enumerate(heads)}, name)
 
 
@@ -232,7 +234,7 @@ def _cell(cell: Any) -> float | str | None:
 
 
 def read_table(path: str | Path) -> SignalTable:
-    """Return the table in a CSV file: commas, names in the first line. An empty cell is not given.
+    """Return the table in a CSV file with commas and the columns' names in the first line. Cells may be empty.
 
     Raises DiagramError for a file that cannot be read or is not such a table.
     """
@@ -246,11 +248,12 @@ def read_table(path: str | Path) -> SignalTable:
 
 @dataclass(frozen=True, eq=False)
 class ExpectedTable:
-    """Table whose columns are inputs, and outputs (or paths of signals), which are expected.
+    """Table whose columns are values of inputs, and expected values of outputs or of signals inside, by path.
 
-    `between` is for inputs between two rows; bools and integers are held in any case. A value v is as expected if
-    |v - e| <= absolute + relative * |e|; both may be a mapping by column. NaN and infinity match only themselves.
-    Expected values are compared `at` the "rows", or at all "ticks" from the first row to the last.
+    Between two rows inputs "hold" or "interpolate", as `between` tells; bools and integers hold in any case. A value v
+    is as expected if |v - e| <= absolute + relative * |e|; both tolerances may be mappings by column. NaN and infinity
+    match only themselves. Expected values are compared `at` the "rows", or at all "ticks" from the first row to the
+    last.
     """
 
     table: SignalTable
@@ -265,10 +268,12 @@ class ExpectedTable:
         for given in (self.absolute, self.relative):
             for column, value in given.items() if isinstance(given, Mapping) else [("", given)]:
                 if column and column not in self.table.cells:
-                    what = f"a tolerance of {shown(column)}, which is not a column"
+                    what = f"a tolerance is given for {shown(column)}, which is not a column"
                     raise DiagramError(what, self.table.name, f"columns: {listed(self.table.cells)}")
                 if not 0.0 <= value < inf:
-                    raise DiagramError(f"a tolerance of {shown(value)}", self.table.name, "give a number >= 0")
+                    raise DiagramError(
+                        f"the tolerance {shown(value)} is not valid", self.table.name, "give a number >= 0"
+                    )
 
     def tolerance(self, column: str) -> tuple[float, float]:
         """Return the absolute and relative tolerance of a column."""
@@ -281,7 +286,7 @@ class ExpectedTable:
     def expected(
         self, column: str, signal: str, whole: bool, steps: int, dt: float, enumeration: Enumeration | None = None
     ) -> "ExpectedColumn":
-        """Return the expectation of `signal` in `column`; `whole` for an integer or a bool, which is held.
+        """Return the expected values of `signal`, in the table's `column`; `whole` is true for an integer or a bool.
 
         Raises DiagramError for a row that is not at a tick, or after the scenario's end.
         """
@@ -337,15 +342,15 @@ class ExpectedColumn:
 
 
 InputValue = InputSignal | float | str | Sequence[Any]
-"""Value of an input: a signal, a number (a bool), the name of a member; of an array one for each element."""
+"""Value of an input: a signal, a number, a bool or the name of an enumeration's member; of an array a list of these."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """One test. An input that is not named is 0 (false); it lasts from 0 to `duration` [s], both ends included.
+    """One test, from 0 to `duration` [s], both ends included. An input that is not named is 0 (false).
 
-    `checks` are assertions, or their texts (see `assertions`). `table` feeds inputs and expects outputs; without a
-    `duration` the scenario ends with its last row. A parameter that is not named has its default.
+    `checks` are assertions, or their texts (see `assertions`). `table` has values of inputs and expected values of
+    outputs; without a `duration` the scenario ends with its last row. A parameter that is not named has its default.
     """
 
     name: str
@@ -359,9 +364,9 @@ class Scenario:
 
 @dataclass(frozen=True, eq=False)
 class ScenarioResult:
-    """Result of one scenario. `time` [s] is of shape (n,), and so are `signals`; the axes of an array follow.
+    """Result of one scenario: `time` [s] (n,), and `signals` (n,) by name, with further axes for an array.
 
-    `expected` holds times [s] and values, of shape (m,), that a table expects, by the judgement's `check`.
+    `expected` holds the times [s] (m,) and values (m,) that a table expects, by the judgement's `check`.
     """
 
     name: str
@@ -377,7 +382,7 @@ class ScenarioResult:
 
     @property
     def failed(self) -> tuple[Judgement, ...]:
-        """The judgements of assertions that do not hold."""
+        """Judgements of the assertions that do not hold."""
         return tuple(j for j in self.judgements if not j.passed)
 
     def __str__(self) -> str:

@@ -134,7 +134,7 @@ def read_scenarios(path: str | Path) -> ScenarioFile:
     except OSError as error:
         raise DiagramError(f"cannot be read: {error.strerror}", where, "name a TOML file with tests") from error
     except (RecursionError, ValueError) as error:  # TOMLDecodeError and UnicodeDecodeError among them
-        raise DiagramError(f"not TOML: {error!s:.200}", where, "correct it there") from error
+        raise DiagramError(f"the file is not TOML: {error!s:.200}", where, "correct it there") from error
     found = _read(_File, given, where)
     scenarios = tuple(_scenario(row, f"{where}, test {i}", path.parent) for i, row in enumerate(found.test, 1))
     names = [scenario.name for scenario in scenarios]
@@ -205,7 +205,8 @@ def _column(given: _Csv, where: str, folder: Path) -> PointsInput:
     with located(where, keep=True):
         table = read_table(_beside(given.csv, "csv", folder))
         if table.ticks:
-            raise DiagramError("the rows are at ticks", table.name, 'name the first column "time", in seconds')
+            what = "the rows have ticks in place of times"
+            raise DiagramError(what, table.name, 'name the first column "time", in seconds')
         rows, values = table.column(given.column)
         return PointsInput(list(zip(table.at[rows].tolist(), values.tolist(), strict=True)), given.between)
 
@@ -213,9 +214,9 @@ def _column(given: _Csv, where: str, folder: Path) -> PointsInput:
 def _expected(value: Mapping[str, Any], where: str, folder: Path) -> ExpectedTable:
     given = _read(_Table, value, where)
     if (given.csv is None) == (given.rows is None):
-        raise DiagramError("it names a CSV file or has rows, one of both", where, "write csv = or columns = and rows =")
+        raise DiagramError("it needs either a CSV file or rows", where, "write csv =, or else columns = and rows =")
     if given.absolute is None and given.relative is None:
-        raise DiagramError("it does not say a tolerance", where, "write absolute = or relative =; 0 is exact")
+        raise DiagramError("it has no tolerance", where, "write absolute = or relative =; 0 is exact")
     with located(where, keep=True):
         if given.csv is None:
             table = table_of_rows(given.columns, given.rows or ())

@@ -1,1 +1,1 @@
-"""The exact A, B, C, D of a diagram at an operating point."""
+"""Linearization: the exact A, B, C, D of a diagram at an operating point."""

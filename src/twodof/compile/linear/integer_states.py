@@ -1,4 +1,4 @@
-"""Integer and bool states while the real ones rest at a point: they settle, or go round as a ring's write index."""
+"""Integer and bool states at an operating point: they settle, or repeat in a cycle, such as a ring's write index."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,7 +18,7 @@ from twodof.compile.linear.tangent import TangentStep
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, Node
 from twodof.errors import DiagramError
 
-MAX_STEPS = 20_000  # of a whole-number state until it must have come round
+MAX_STEPS = 20_000  # of an integer or bool state, after which it must have repeated
 MAX_SWEEPS = 20
 ALL_PHASES = 100  # a cycle up to here is checked at each of its places
 
@@ -27,7 +27,7 @@ Whole_ = tuple[Any, ...]
 
 @dataclass
 class Cycle:
-    """Cycle of the values of a node's whole-number states; `ring` names the state that is a write index, or ""."""
+    """Cycle of the values of a node's integer and bool states; `ring` names the state that is a write index, or ""."""
 
     names: tuple[str, ...]
     values: list[Whole_]
@@ -51,9 +51,9 @@ class IntegerStates:
         self.shift = 0
 
     def settle(self, step: Callable[[], TangentStep]) -> None:
-        """Run each node's whole-number states, the rest held, until they stay or come round, and set them so.
+        """Run each node's integer and bool states, everything else held, until they settle or repeat; leave them there.
 
-        States given with `at` are not moved. Raises DiagramError for states that neither stay nor come round.
+        States given with `at` do not move. Raises DiagramError for states that neither settle nor repeat.
         """
         for _ in range(MAX_SWEEPS):
             self.cycles = {}
@@ -104,10 +104,10 @@ class IntegerStates:
         ask = f", or ask for the outputs {', '.join(free)} only" if free else ""
         remedy = "give them with `at`, which holds them there"
         if index := self._indexes(node, moving):
-            remedy = f"let {index} come round, as in where(i + 1 < n, i + 1, int32(0)), so that the buffer is a ring"
+            remedy = f"let {index} wrap, as in where(i + 1 < n, i + 1, int32(0)), so that the buffer is a ring"
         raise DiagramError(
-            f"its integer or bool states {', '.join(moving)} do not stay or come round within {MAX_STEPS} steps; "
-            f"what depends on them: {', '.join(self.parts.outputs_of(node))}",
+            f"its integer or bool states {', '.join(moving)} neither settle nor repeat within {MAX_STEPS} steps; "
+            f"these depend on them: {', '.join(self.parts.outputs_of(node))}",
             node.path,
             remedy + ask,
         )
@@ -123,7 +123,7 @@ class IntegerStates:
         return ""
 
     def check_held(self, step: TangentStep) -> dict[str, str]:
-        """Return a remark for each whole-number state that `at` holds and that would move.
+        """Return a remark for each integer or bool state that `at` holds and that would move otherwise, by path.
 
         Raises DiagramError for the write index of a buffer: with a held index the written samples are never read.
         """
@@ -136,11 +136,11 @@ class IntegerStates:
                 continue
             if self._indexes(node, [name]):
                 raise DiagramError(
-                    "`at` holds it, and it says where a buffer is written: what is written would never be read",
+                    "`at` holds this write index of a buffer, so written samples would never be read",
                     f"{node.path}.{name}",
-                    "leave it out of `at`: where an index comes round, the model follows it",
+                    "leave it out of `at`: the model follows an index that wraps",
                 )
-            notes[f"{node.path}.{name}"] = "held by `at`; left alone it moves"
+            notes[f"{node.path}.{name}"] = "held by `at`; it would move otherwise"
         return notes
 
     def _ring(self, node: Node, cycle: Cycle) -> str:
@@ -171,7 +171,10 @@ class IntegerStates:
         return length, int(cycle.values[steps % length][cycle.names.index(cycle.ring)].value)
 
     def order(self, key: Key, ahead: int = 0) -> list[int]:
-        """Return the places of a state's elements in the model's order: a ring's newest sample first."""
+        """Return the indices of a state's elements in the model's order, which has a ring's newest sample first.
+
+        They are those after `ahead` periods.
+        """
         width = self.point.width(key)
         length, at = self._index(key, ahead)
         if not length:
@@ -192,10 +195,10 @@ class IntegerStates:
         return [f"{path}[k-{age + 1}]{t}" for age in range(length) for t in tail]
 
     def phases(self) -> list[int]:
-        """Return the shifts, in periods, of the cycles at which the model must be the same.
+        """Return the shifts of the cycles, in periods, at which the model is checked to be the same.
 
-        A ring's places are alike except for its end, so three are enough. Other cycles are turned through all their
-        values. Raises DiagramError for cycles of more than ALL_PHASES periods.
+        The places of a ring are alike except for its end, so three are enough; of other cycles all values are tried.
+        Raises DiagramError for other cycles of more than ALL_PHASES periods.
         """
         found: set[int] = set()
         for node, cycle in self.cycles.items():
@@ -206,7 +209,7 @@ class IntegerStates:
                 found |= set(range(1, n))
             else:
                 raise DiagramError(
-                    f"its whole-number states {', '.join(cycle.moving)} come round after {n} periods only",
+                    f"its integer or bool states {', '.join(cycle.moving)} repeat after {n} periods only",
                     node.path,
                     "hold them with `at`, or linearize around this block",
                 )
@@ -214,7 +217,7 @@ class IntegerStates:
 
     @contextmanager
     def turned(self, shift: int) -> Iterator[None]:
-        """Turn all cycles by `shift` periods within the block, with the same samples in the buffers."""
+        """Move all cycles on by `shift` periods within the `with` block, with the same samples in the buffers."""
         before = dict(self.point.states)
         orders = {
             (node, s.name): self.order((node, s.name))
@@ -238,7 +241,7 @@ class IntegerStates:
             self.shift = 0
             self.point.states |= before
 
-    def guilty(self) -> str:
+    def cycling(self) -> str:
         """Return the states that move in cycles without write indices of rings, or else in all cycles."""
         others = [n for n, c in self.cycles.items() if not c.ring] or list(self.cycles)
         return ", ".join(f"{n.path}.{name}" for n in others for name in self.cycles[n].moving)
@@ -258,9 +261,9 @@ Array = NDArray[np.float64]
 
 
 class Coordinates:
-    """Real states that may move, element by element in the program's order, then the held signals.
+    """Coordinates of a program: its real states that may move, element by element, then the held signals.
 
-    The model has the samples of a ring in another order, the newest first; see `order`.
+    This is the program's order. In the model's order the newest sample of a ring is first; see `order`.
     """
 
     def __init__(self, point: OperatingPoint, whole: IntegerStates, parts: Parts, held: Sequence[FlatSignal]) -> None:
@@ -277,7 +280,7 @@ class Coordinates:
         self.size = sum(point.width(k) for k in self.keys) + sum(s.width or 1 for s in self.held)
 
     def order(self, ahead: int = 0) -> list[int]:
-        """Return the places in the model's order, `ahead` periods on."""
+        """Return the indices of the coordinates in the model's order, after `ahead` periods."""
         places: list[int] = []
         for key in self.keys:
             at = len(places)
@@ -285,7 +288,7 @@ class Coordinates:
         return places + list(range(len(places), self.size))
 
     def names(self) -> list[str]:
-        """Return the names in the model's order."""
+        """Return the names of the coordinates in the model's order."""
         states = [name for key in self.keys for name in self.whole.names(key)]
         return states + [name for s in self.held for name in element_names(f"{s.path} (held)", s)]
 
@@ -295,7 +298,7 @@ class Coordinates:
         return states + [False] * (self.size - len(states))
 
     def values(self) -> Array:
-        """Return the values at the point, in the program's order."""
+        """Return the values of the coordinates at the point, in the program's order, (n,)."""
         states = [float(v) for key in self.keys for v in elements(self.point.states[key])]
         return np.array(states + [float(v) for s in self.held for v in elements(self.point.held[s])], dtype=np.float64)
 

@@ -16,13 +16,13 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """x' = A x + B u, y = C x + D u, in deviations from a point; x' is x[k + 1], or dx/dt where `dt` is None.
+    """x' = A x + B u, y = C x + D u, in deviations from a point; x' is x[k + 1], or dx/dt if `dt` is None.
 
     Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m). `states`, `inputs` and `outputs` name the rows and columns
     by paths. There `[i]` is an element of an array and `[k-i]` the sample of i steps ago in a delay. `point` has the
     values of states and inputs at the point, `output_values` those of the outputs. `left_out` has the reason for each
-    state of the diagram that is not in the model. `remarks` name each input without effect on any output at the point,
-    each output that nothing moves, and each whole-number state that moves unless `at` holds it.
+    state of the diagram that is not in the model. `remarks` describe each input without effect on any output at the
+    point, each output without an influence, and each integer or bool state that only `at` holds.
     """
 
     a: Array
@@ -40,7 +40,7 @@ class LinearModel:
     remarks: Mapping[str, str] = field(default_factory=dict)
 
     def poles(self) -> Complex:
-        """Return the eigenvalues of A, shape (n,): in the z plane, or in rad/s where `dt` is None."""
+        """Return the eigenvalues of A, shape (n,): in the z plane, or in rad/s if `dt` is None."""
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
     def response(self, omega: ArrayLike) -> Complex:

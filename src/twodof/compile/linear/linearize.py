@@ -43,24 +43,22 @@ def linearize(
 
     `at` gives the values of inputs, states, parameters and "tick" (default 0) at the point, by name or path. The
     default is the initial value, the parameter's default or 0. With `trim` the states are moved to an equilibrium near
-    the point, or, with inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs`
-    are those of the model: inputs of the diagram, or signals by path. The default is the diagram's real inputs and
-    outputs. A signal that is an input is *cut*: its readers read the input instead. States without influence on any
+    the point; with inputs in `free`, these inputs and the states that `at` does not name are moved. `inputs` and
+    `outputs` are those of the model: inputs of the diagram, or signals by path, by default the diagram's real inputs
+    and outputs. A signal that is an input is *cut*: its readers read the input instead. States without influence on any
     output are left out.
 
-    `time`: "continuous" (dx/dt), "discrete" (x[k+1], the step map) or, for "auto", continuous where all states are.
-    A diagram with any discrete state, delay or rate of its own is discrete. Of several rates the model is that over
-    their common period, with the inputs held over it. Outputs of slower rates that are held at its start are states.
-    `keep_all` keeps the states that have no influence or always come back to the point's value.
+    `time` is "continuous" (dx/dt), "discrete" (x[k+1], the step map) or "auto": continuous if all states are. A diagram
+    with any discrete state, delay or rate of its own is discrete. With several rates the model is that over their
+    common period, with the inputs held over it. Outputs of slower rates that are held at its start are states.
+    `keep_all` keeps the states that have no influence or always return to the point's value.
 
-    The model's `remarks` name the inputs that move nothing, the outputs that nothing moves, and what `at` holds.
-
-    Raises DiagramError for a diagram that does not compile, whose rates come round after more than 1000 ticks, and at
-    a kink, where nothing is differentiable. It also does so for a whole-number state, or a tick, that moves the model,
-    and without an equilibrium.
+    Raises DiagramError for a diagram that does not compile, or whose rates are due together only every 1000 ticks or
+    more; at a kink, where the diagram is not differentiable; if the model changes with an integer state or the tick;
+    and if no equilibrium is found.
     """
     if time not in TIME:
-        raise DiagramError(f"time={time!r}", diagram.name, f"use one of {', '.join(TIME)}")
+        raise DiagramError(f"time={time!r} is unknown", diagram.name, f"use one of {', '.join(TIME)}")
     wanted = [*(outputs or []), *(inputs or [])]
     paths = [p for p in dict.fromkeys(wanted) if not diagram.gives(p) and p not in diagram.inputs]
     program = lower(diagram, dt, paths)
@@ -77,7 +75,7 @@ def linearize(
             move_to_equilibrium(work, free, continuous)
             work.settle()
         elif free:
-            raise DiagramError("inputs are free without trim", diagram.name, "ask for trim too")
+            raise DiagramError("free inputs have no effect without trim", diagram.name, "ask for trim too")
         return work.model(time, keep_all)
 
 
@@ -96,7 +94,7 @@ def _signals(
         if signal is None:
             raise unknown_name("signal", name, [*ports, *program.signals], program.name)
         if signal.kind not in FLOATS:
-            what = f"{name!r} is {signal.kind}"
+            what = f"the signal {name!r} is {signal.kind}"
             raise DiagramError(what, program.name, "a linear model has real inputs and outputs")
         found[name] = signal
     return found
@@ -108,9 +106,9 @@ class _Linearization(Slopes):
     held: Mapping[str, str]
 
     def settle(self) -> None:
-        """Bring whole-number states to where they stay, and continuous states to where projections put them.
+        """Let integer and bool states settle, and set continuous states to where projections put them.
 
-        Signals of slower rates are held as they would be after some time at the point.
+        Signals of slower rates get the values that they would have after some time at the point.
         """
         self._rest()
         self.whole.settle(lambda: self.step(rested=True, slopes=False))
@@ -124,7 +122,7 @@ class _Linearization(Slopes):
         self.point.held = {s: plain(v) for s, v in made.items() if s.node is not None}
 
     def is_continuous(self, time: str) -> bool:
-        """Return True if the model is dx/dt. Raises DiagramError if that is asked for and impossible."""
+        """Return True if the model for `time` is dx/dt. Raises DiagramError if "continuous" is impossible."""
         if time == "discrete":
             return False
         problem = self._sampled()
@@ -154,10 +152,10 @@ class _Linearization(Slopes):
         return ""
 
     def manifold(self) -> tuple[list[int], Array] | None:
-        """Return the states that projections keep, and all states by these; None if projections do more than that.
+        """Return the indices of the states that projections keep, and the slopes of all states by these, (size, kept).
 
-        A projection may set states from others (the sine of an angle that is integrated beside it). Those are not
-        states in their own right.
+        The other states are set from these, as the sine of an angle that is integrated beside it, and are not states of
+        the model. Return None if projections also change the states that they keep.
         """
         size = self.coordinates.size
         p = self._ordered(self.matrices("projection"), 0).change[:, :size]
@@ -171,7 +169,7 @@ class _Linearization(Slopes):
         return found.ordered(self.coordinates.order(ahead), self.coordinates.order())
 
     def model(self, time: str, keep_all: bool) -> LinearModel:
-        """Return the model, checked at other phases of integer states that go round."""
+        """Return the model, after a check that it is the same at other phases of integer states that repeat."""
         continuous = self.is_continuous(time)
         found = self._ordered(self.matrices("slope" if continuous else "next"), 0 if continuous else 1)
         n = self.coordinates.size
@@ -240,9 +238,9 @@ class _Linearization(Slopes):
             with self.whole.turned(shift):
                 other = self._ordered(self.matrices("next", strict=False), 1)
             if not found.agree(other):
-                remedy = "a linear model is the same at every step: hold it with `at`, or linearize around this block"
-                what = "a whole-number state moves, and the model with it"
-                raise DiagramError(what, self.whole.guilty(), remedy)
+                remedy = "hold the state with `at`, or linearize around this block"
+                what = "this integer or bool state changes, and the linear model with it"
+                raise DiagramError(what, self.whole.cycling(), remedy)
 
     def _check_ticks(self, found: Matrices, what: str) -> None:
         """Raise DiagramError if the model changes with the tick, unless `at` gives the tick."""
@@ -253,7 +251,7 @@ class _Linearization(Slopes):
                 other = self._ordered(self.matrices(what, strict=False), 0 if what == "slope" else 1)
             if not (np.allclose(found.change, other.change) and np.allclose(found.output, other.output)):
                 raise DiagramError(
-                    f"the tick moves the model: it is another one {periods} periods later",
+                    f"the linear model changes with the tick: it differs {periods} periods later",
                     ", ".join(readers),
                     'give the tick in `at`, {"tick": 0}, for the model at that tick alone; to keep samples in a ring, '
                     "count its places in a state",
@@ -264,7 +262,7 @@ def _refuse_triggers(program: FlatProgram) -> None:
     for condition in {c for node in program.nodes for c in node.conditions}:
         if condition.trigger is not None:
             raise DiagramError(
-                "it acts at the edges of a trigger alone: no linear model does that",
+                "it acts only at the edges of a trigger, which has no linear model",
                 condition.path,
                 "linearize the sub-diagram by itself, or the diagram without it",
             )
@@ -312,14 +310,14 @@ def _needed(
 
 
 def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -> None:
-    """Move the point's states, and the inputs in `free`, to an equilibrium near it: of dx/dt, or of the step map.
+    """Move the point's states, and the inputs in `free`, to an equilibrium nearby: of dx/dt, or of the step map.
 
-    With inputs that are free, the states that `at` gave stay. Raises DiagramError if no equilibrium is found.
+    With free inputs, the states that `at` gives stay. Raises DiagramError if no equilibrium is found.
     """
     point, coordinates, inputs = slopes.point, slopes.coordinates, slopes.inputs
     for own in free:
         if own not in inputs or inputs[own].node is not None:
-            raise DiagramError(f"{own!r} is not an input to free", slopes.name, "name a real input")
+            raise DiagramError(f"{own!r} is not a real input of the model", slopes.name, "name one in `free`")
     size = coordinates.size
     moving = [j for j, given in enumerate(coordinates.given()) if not (free and given)]
     columns = list(moving)
@@ -341,7 +339,7 @@ def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -
             found = slopes.matrices("slope" if continuous else "next", strict=False)
         except DiagramError as error:
             raise DiagramError(
-                f"the search for an equilibrium came where {error.what}",
+                f"the search for an equilibrium reached a point where {error.what}",
                 error.where,
                 "start nearer to one with `at`, or cut a signal of this block as an input",
             ) from error

@@ -25,12 +25,12 @@ States = dict[Key, Value]
 
 
 def elements(value: Any) -> tuple[Any, ...]:
-    """Return the elements of an array, or a scalar as the only one."""
+    """Return the elements of an array, or a tuple of the scalar alone."""
     return value if isinstance(value, tuple) else (value,)
 
 
 class OperatingPoint:
-    """Parameters, inputs, states and tick. `at` overrides defaults and initial values, by name or path.
+    """Parameters, inputs, states and tick at a point. `at` overrides defaults and initial values, by name or path.
 
     Raises DiagramError or ParameterError for an unknown name, and for a value of another type or out of bounds.
     """
@@ -62,7 +62,7 @@ class OperatingPoint:
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """Restore states, held signals and tick of the point after the block."""
+        """Restore states, held signals and tick of the point at the end of the `with` block."""
         before = dict(self.states), dict(self.held), self.tick
         try:
             yield
@@ -74,15 +74,15 @@ class OperatingPoint:
         return self._widths[key]
 
     def put(self, states: States) -> None:
-        """Overwrite states."""
+        """Set the states in `states`."""
         self.states |= {key: plain(value) for key, value in states.items()}
 
     def input_values(self, signals: Iterable[FlatSignal]) -> list[float]:
-        """Return the present values of some inputs, one after the other."""
+        """Return the values of the inputs `signals`, all their elements one after the other."""
         return [float(v) for s in signals for v in elements(self.inputs[s])]
 
     def put_inputs(self, signals: Sequence[FlatSignal], values: Array) -> None:
-        """Overwrite inputs by numbers, one after the other."""
+        """Set the inputs `signals` to `values`, all their elements one after the other."""
         at = 0
         for s in signals:
             part = [np.float64(v) for v in values[at : at + (s.width or 1)]]
@@ -94,7 +94,7 @@ MAX_PERIOD = 1000  # base ticks
 
 
 class Parts:
-    """The nodes that `outputs` depend on, signals in `cut` not followed; all nodes with `everything`."""
+    """Nodes on which `outputs` depend, without following signals in `cut`; with `everything` all nodes."""
 
     def __init__(
         self, program: FlatProgram, outputs: Mapping[str, FlatSignal], cut: Container[FlatSignal], everything: bool
@@ -106,16 +106,16 @@ class Parts:
         self.nodes = [n for n in program.nodes if everything or n in needed]
 
     def outputs_of(self, node: Node) -> list[str]:
-        """Return the outputs that depend on a node, or else the diagram's name."""
+        """Return the names of the outputs that depend on a node, or the diagram's name if none does."""
         return [name for name, nodes in self._below.items() if node in nodes] or [self.program.name]
 
     def free_outputs(self, node: Node) -> list[str]:
-        """Return the outputs that do not depend on a node."""
+        """Return the names of the outputs that do not depend on a node."""
         return [name for name, nodes in self._below.items() if node not in nodes]
 
     @cached_property
     def integrated(self) -> list[Node]:
-        """The nodes with continuous states."""
+        """Nodes with continuous states."""
         return [n for n in self.nodes if n.continuous]
 
     @cached_property
@@ -128,12 +128,12 @@ class Parts:
 
     @cached_property
     def period(self) -> int:
-        """Base ticks until all rates are due again. Raises DiagramError for more than MAX_PERIOD."""
+        """Number of base ticks after which all rates are due together. Raises DiagramError above MAX_PERIOD."""
         ticks = math.lcm(*(rate.divider for rate in self._rates))
         if len(self._rates) > 1 and ticks > MAX_PERIOD:
             (one, a), (two, b), *_ = sorted(self._rates.items(), reverse=True)
             raise DiagramError(
-                f"its rates come round together after {ticks} ticks only: {a} runs at {tuple(one)} and {b} "
+                f"its rates are due together every {ticks} ticks only: {a} runs at {tuple(one)} and {b} "
                 f"at {tuple(two)}",
                 self.program.name,
                 f"at most {MAX_PERIOD} ticks: cut a signal between them as an input, or ask for fewer outputs",
@@ -146,7 +146,7 @@ class Parts:
 
     @property
     def several_rates(self) -> str:
-        """Two parts of different rates, in words; "" if there is one rate."""
+        """Text with two parts of different rates; "" if there is only one rate."""
         if len(self._rates) == 1:
             return ""
         (one, a), (two, b), *_ = self._rates.items()
@@ -166,7 +166,7 @@ class Parts:
         return frozenset(r for r in self._rates if tick % r.divider == r.offset)
 
     def held(self, outputs: Iterable[FlatSignal]) -> list[FlatSignal]:
-        """Return the real signals of slower rates that are read, or given out, between their own ticks."""
+        """Return the real signals of slower rates that are read, or output, between their own ticks."""
         if not self.several_rates:
             return []
         read = {s for n in self.nodes for s in n.drivers.values()} | set(outputs)

@@ -1,4 +1,4 @@
-"""Slopes: the matrices of a program at a point, over one tick or over the common period of its rates, and its kinks."""
+"""Slopes of a program at a point, as matrices over one tick or over the common period of its rates; and its kinks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ NEAR = 0.9  # the cosine of the angle between two borders that count as one
 
 @dataclass(frozen=True)
 class Matrices:
-    """A and B by the seeds, C and D by the seeds: rows of (states, seeds) and (outputs, seeds)."""
+    """Slopes by the seeds (states, then inputs): `change` [A B] (states, seeds), `output` [C D] (outputs, seeds)."""
 
     change: Array
     output: Array
@@ -36,29 +36,29 @@ class Matrices:
     made: Array  # the outputs' values
 
     def ordered(self, rows: Sequence[int], columns: Sequence[int]) -> "Matrices":
-        """Return the matrices with the states in another order, as rows and as the first columns."""
+        """Return the matrices with the states in other orders: `rows` of next states, `columns` of states."""
         n = len(columns)
         to = [*columns, *range(n, self.change.shape[1])]
         return Matrices(self.change[np.ix_(rows, to)], self.output[:, to], self.value[list(rows)], self.made)
 
     def then(self, other: "Matrices") -> "Matrices":
-        """Return `other` after these, with the same inputs; the outputs are those of the start."""
+        """Return the matrices over this step and then `other`, with the same inputs and the outputs of this one."""
         n = len(self.change)
         change = other.change[:, :n] @ self.change
         change[:, n:] += other.change[:, n:]
         return Matrices(change, self.output, other.value, self.made)
 
     def agree(self, other: "Matrices") -> bool:
-        """Return True if both are equal up to roundings."""
+        """Return True if slopes and values of both are equal up to rounding."""
         return close(self.change, other.change) and close(self.output, other.output) and self.meet(other)
 
     def agree_along(self, other: "Matrices", direction: Slope) -> bool:
-        """Return True if a motion in this direction changes both equally."""
+        """Return True if both have the same slopes in this direction, and the same values."""
         states = close(self.change @ direction, other.change @ direction)
         return states and close(self.output @ direction, other.output @ direction) and self.meet(other)
 
     def meet(self, other: "Matrices") -> bool:
-        """Return True if the values themselves are equal."""
+        """Return True if the values of both are equal."""
         return close(self.value, other.value) and close(self.made, other.made)
 
 
@@ -74,9 +74,9 @@ class _Visit:
 
 
 class Slopes:
-    """The slopes of a program at a point by its seeds: the coordinates, then the inputs.
+    """Slopes of a program at a point by its seeds, which are the coordinates, then the inputs.
 
-    With `everything` all nodes take part, not only those that `outputs` depend on.
+    With `everything` all nodes are included, not only those on which `outputs` depend.
     """
 
     def __init__(
@@ -100,14 +100,17 @@ class Slopes:
         self.size = self.coordinates.size
         if self.size > MAX_STATES:
             remedy = f"at most {MAX_STATES}: shorten the delays, or cut signals"
-            raise DiagramError(f"its model has {self.size} states", self.name, remedy)
+            raise DiagramError(f"its model has {self.size} states, too many", self.name, remedy)
         self.seeds = self.size + sum(s.width or 1 for s in inputs.values())
         self._whole = [(n, s) for n in self.parts.nodes for s in n.block.states if s.kind not in FLOATS]
         self._paths = {n.path for n in self.parts.nodes}
         self.rounded: set[str] = set()  # the paths of blocks in which a slope ended in a rounding
 
     def step(self, direction: Slope | None = None, rested: bool = False, slopes: bool = True) -> TangentStep:
-        """Return a step, with unit slopes of the coordinates and inputs if `slopes`; `rested`: all rates are due."""
+        """Return a step whose outputs are computed; with `slopes` the coordinates and inputs have unit slopes.
+
+        With `rested` all rates are due.
+        """
         step = TangentStep(self.program, self.point, self.parts.nodes, rested, direction)
         if slopes:
             rows = iter(np.eye(self.seeds))
@@ -121,14 +124,14 @@ class Slopes:
                 elif s.width is None:
                     step.cut[s] = next(rows)
                 else:
-                    raise DiagramError("an array is cut", s.path, "cut its elements behind a Demux")
+                    raise DiagramError("an array cannot be cut", s.path, "cut its elements behind a Demux")
         step.compute_outputs()
         return step
 
     def matrices(self, what: str = "next", strict: bool = True) -> Matrices:
-        """Return the slopes of `what` (one of WHAT) and of the outputs by the coordinates.
+        """Return the slopes of `what` (one of WHAT) and of the outputs by the seeds.
 
-        With `strict`, raises DiagramError at a kink: where directions of motion do not agree on the slopes.
+        With `strict`, raises DiagramError at a kink: a point at which the slopes depend on the direction of motion.
         """
         visits = self._visits(what)
         total = visits[0].found
@@ -203,7 +206,7 @@ class Slopes:
             direction -= (normal @ direction) * normal
             other, *_ = self._once(what, direction)
             if not beside.agree_along(other, direction):
-                raise _kink(tie, "what rests there goes on resting (dry friction, a stop)", "friction or stop")
+                raise _kink(tie, "a state at rest there stays at rest (dry friction, a stop)", "friction or stop")
 
     def _once(self, what: str, direction: Slope | None) -> tuple[Matrices, TangentStep, States]:
         """Return the slopes over one tick, ties resolved by `direction`, with the step and the new states."""
@@ -234,7 +237,7 @@ class Slopes:
     def _finite(self, path: str, duals: Sequence[Dual]) -> None:
         for d in duals:
             if not np.isfinite(d.value):
-                raise DiagramError(f"it is {d.value} at the point", path, "give another point with `at`")
+                raise DiagramError(f"its value is {d.value} at the point", path, "give another point with `at`")
             if d.slope is not None and not np.isfinite(d.slope).all():
                 raise DiagramError(
                     "its slope is infinite or undefined at the point", path, "move the point away (sqrt at 0, 0 / 0)"
@@ -242,12 +245,12 @@ class Slopes:
 
 
 def observed(a: Array, c: Array) -> NDArray[np.bool_]:
-    """Return a mask of the states that move an output sooner or later."""
+    """Return a mask of the states that have an effect on an output at some time."""
     return spread((c != 0.0).any(axis=0), (a != 0.0).T)
 
 
 def spread(start: NDArray[np.bool_], edges: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the rows of `start`, each with those of all rows that `edges` lead to."""
+    """Return `start` (n, ...) with each row joined by `or` with all rows that `edges` (n, n) reach from it."""
     found = start
     while (further := found | (edges @ found)).sum() > found.sum():
         found = further
@@ -274,7 +277,7 @@ def _different(ties: Sequence[Tie]) -> list[tuple[Tie, Slope]]:
 
 
 def close(a: Array, b: Array) -> bool:
-    """Return True if two arrays are equal up to roundings."""
+    """Return True if two arrays are equal up to rounding."""
     return np.allclose(a, b, rtol=SAME, atol=SAME * (1e-3 + float(np.abs(a).max(initial=0.0))))
 
 

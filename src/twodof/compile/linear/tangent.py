@@ -17,8 +17,8 @@ class TangentStep:
     """One step at an operating point; to be used under `numbers.precision("float64")`.
 
     States, inputs and `held`, the signals of the tick before, are those of the point. They may be given slopes before
-    `compute_outputs`. `cut` replaces signals for all their readers: signal -> the slope that its readers see.
-    `direction` is that of `Tangent`. Only the states of `nodes` move. With `rested` all rates are due.
+    `compute_outputs`. `cut` has the slopes that the readers of a signal see in place of its own. `direction` is that of
+    `Tangent`. Only the states of `nodes` change. With `rested` all rates are due.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class TangentStep:
         return self.states | self.updates() | (self.projected(self.integrated()) if self.integrated_nodes else {})
 
     def derivative(self, x: Mapping[Key, Value], signals: Mapping[FlatSignal, Value] | None = None) -> States:
-        """Return the derivatives of the continuous states at `x`; `signals` replaces signals with an edge."""
+        """Return the derivatives of the continuous states at `x`; `signals` are the present values of edged signals."""
         now: dict[FlatSignal, Value] = dict(self.read) | dict(signals or {})
         memos: dict[Node, dict[int, Value]] = {}
         for group in self.program.stage:

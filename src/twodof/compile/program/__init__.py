@@ -1,1 +1,1 @@
-"""From a diagram to a program: check, flatten, order, lay out in memory."""
+"""Lowering of a diagram to a program: check, flatten, order, lay out in memory."""

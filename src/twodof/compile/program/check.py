@@ -19,7 +19,7 @@ MAX_PROBLEMS = 1000
 
 @dataclass(frozen=True)
 class DiagramRemark:
-    """Remark on a diagram that compiles but is probably not meant so: text, path and remedy."""
+    """Remark on a probable mistake in a diagram that compiles: text, path and remedy."""
 
     what: str
     where: str
@@ -28,7 +28,7 @@ class DiagramRemark:
 
 @dataclass(frozen=True)
 class DiagramSizes:
-    """How large a diagram is; states and parameters in numbers (an array counts its elements)."""
+    """Sizes of a diagram; states and parameters count single numbers, so an array counts its elements."""
 
     blocks: int
     subdiagrams: int
@@ -45,10 +45,10 @@ class DiagramSizes:
 class Findings:
     """Findings of `check`.
 
-    `problems` keep the diagram from compiling. The rest is there only without problems: `remarks`; `sizes`;
-    `feedthrough`, for each output of the diagram the inputs that it depends on in the same tick; `port_feedthrough`,
-    the same for each output port of each block; `unread`, the output ports without a reader; `left_out`, the blocks
-    of which nothing is compiled because nothing needs them.
+    `problems` keep the diagram from compiling. Only without problems there are `remarks`; `sizes`; `feedthrough`, for
+    each output of the diagram the inputs on which it depends in the same tick; `port_feedthrough`, for each output port
+    of each block its own inputs on which it depends in the same tick; `unread`, the output ports without a reader;
+    `left_out`, the blocks that are not compiled because nothing needs them.
     """
 
     problems: tuple[DiagramError, ...]

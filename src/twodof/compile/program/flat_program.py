@@ -1,6 +1,6 @@
 """The target-independent program: a flattened diagram whose ports are in an order in which they can be computed.
 
-Every emitter (C99 first) reads these; `twodof.compile.program.lower` makes them.
+`twodof.compile.program.lower` makes it; emitters of C and the linearization read it.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class FlatSignal:
 
     @property
     def before(self) -> Any:
-        """The value before the first computation."""
+        """Value before the first computation."""
         return 0 if self.initial is None else self.initial
 
     @property
     def cleared(self) -> Any:
-        """The value that a disabled part resets the signal to."""
+        """Value to which a disabled part resets the signal."""
         return self.before if self.disabled is None else self.disabled
 
 
@@ -56,10 +56,10 @@ class FlatParameter:
 
 @dataclass(eq=False)
 class Condition:
-    """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs are reset while it is disabled.
+    """Bool signals that enable, reset or trigger a sub-diagram; with `clears` its outputs are reset while disabled.
 
-    `trigger` is true where its trigger has an edge; it acts only there. At its own ticks (those of `rate`) with
-    `restart` true, all states inside become initial, also where nothing else acts.
+    `trigger` is true at the ticks with an edge of the sub-diagram's trigger, and it acts only at these. At a tick of
+    `rate` at which `restart` is true, all states inside get their initial values, even if the sub-diagram does not act.
     """
 
     path: str
@@ -72,13 +72,13 @@ class Condition:
 
     @property
     def signals(self) -> list[FlatSignal]:
-        """The signals that enable or reset the sub-diagram."""
+        """Signals that enable, reset or trigger the sub-diagram."""
         return [s for s in (self.enable, self.reset, self.trigger, self.restart) if s is not None]
 
 
 @dataclass(eq=False)
 class Node:
-    """A block in its place. `drivers`: input -> signal; `parameters`: own name -> parameter of the program."""
+    """A block at its path. `drivers` has the signal of each input, `parameters` the program's one for each own name."""
 
     path: str
     block: Block
@@ -90,29 +90,29 @@ class Node:
 
     @property
     def trace(self) -> Trace:
-        """The block's expressions."""
+        """Expressions of the block."""
         return self.block.trace
 
     @property
     def discrete(self) -> list[State]:
-        """The states that `update` gives."""
+        """States that `update` changes."""
         return [s for s in self.block.states if not s.continuous]
 
     @property
     def continuous(self) -> list[State]:
-        """The states that `derivative` moves."""
+        """States that the integration of `derivative` changes."""
         return [s for s in self.block.states if s.continuous]
 
     @property
     def guard(self) -> Guard:
-        """When the node acts."""
+        """Rate and signals on which it depends whether the node acts."""
         enables = tuple(s for c in self.conditions for s in (c.enable, c.trigger) if s is not None)
         clears = tuple(c.enable for c in self.conditions if c.enable is not None and c.clears)
         return Guard(self.rate, enables, clears)
 
     @property
     def enumerations(self) -> tuple[Enumeration, ...]:
-        """The enumerations of the block's declarations, each once."""
+        """Enumerations of the block's declarations, each once."""
         block = self.block
         declared: tuple[Any, ...] = (*block.inputs, *block.outputs, *block.states, *block.params, *block.derived)
         return tuple(dict.fromkeys(d.enum for d in declared if d.enum is not None))
@@ -124,7 +124,7 @@ class Node:
 
     @property
     def starts(self) -> tuple[Start, ...]:
-        """The conditions that set the node's states to their initial values."""
+        """Conditions that set the node's states to their initial values."""
         if not self.block.states:
             return ()
         found: dict[Guard, list[FlatSignal]] = {}
@@ -139,9 +139,9 @@ class Node:
 
 @dataclass(frozen=True)
 class Guard:
-    """When a node acts: at the ticks of `rate` while all `enables` hold.
+    """Condition of acting: a node acts at the ticks of `rate` at which all `enables` are true.
 
-    At such a tick without one of `clears`, its outputs are reset.
+    At a tick of `rate` at which one of `clears` is false, its outputs are reset.
     """
 
     rate: Rate
@@ -156,7 +156,7 @@ class Guard:
 
 @dataclass(frozen=True)
 class Start:
-    """Start of a node: where `guard` holds, any of `signals` sets its states to their initial values."""
+    """Start of a node: at a tick of `guard`, any of `signals` that is true sets its states to their initial values."""
 
     node: Node
     guard: Guard
@@ -184,8 +184,8 @@ class Group:
 class FlatProgram:
     """A checked, flattened and ordered diagram.
 
-    `tick` computes the outputs of a tick; `stage` the continuous outputs that the derivative needs, once a stage of the
-    integration; `moving` are all signals that change inside a step, `edged` those of them that do so at an edge.
+    `tick` computes the outputs of a tick; `stage` computes, at each stage of the integration, the continuous outputs
+    that the derivatives read. `moving` are all signals that change inside a step, `edged` those that do so at an edge.
     """
 
     name: str
@@ -205,27 +205,27 @@ class FlatProgram:
 
     @property
     def ports(self) -> list[Port]:
-        """The inputs as ports."""
+        """Inputs of the program as ports."""
         return [Port(name, s.kind, s.width, s.unit, s.shape, s.enum) for name, s in self.inputs.items()]
 
     @property
     def enumerations(self) -> tuple[Enumeration, ...]:
-        """The enumerations of inputs and blocks, each once."""
+        """Enumerations of inputs and blocks, each once."""
         of_inputs = (s.enum for s in self.inputs.values() if s.enum is not None)
         return tuple(dict.fromkeys((*of_inputs, *(e for node in self.nodes for e in node.enumerations))))
 
     @property
     def integrated(self) -> list[Node]:
-        """The nodes with continuous states."""
+        """Nodes with continuous states."""
         return [n for n in self.nodes if n.continuous]
 
 
 Key = tuple[Node, str]
-"""A state or parameter: its node and its name."""
+"""Key of a state or parameter: its node and its name."""
 
 
 def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key, Any]:
-    """Return the parameters of every node, given (by path in `given`, else default) and derived, by node and name."""
+    """Return the values of all nodes' parameters, derived ones too, with the values `given` by path, else defaults."""
     values: dict[Key, Any] = {}
     with numbers.precision("float64"):
         for node in program.nodes:
@@ -243,7 +243,7 @@ def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key
 
 
 def initial_states(program: FlatProgram, parameters: Mapping[Key, Any]) -> dict[Key, Any]:
-    """Return the initial value of every state."""
+    """Return the initial values of all states, by node and name."""
     with numbers.precision("float64"):
         return {
             (node, s.name): parameters[node, s.initial]

@@ -31,7 +31,7 @@ MAX_SIGNALS = 1_000_000  # as a bus of many fields at many borders of sub-diagra
 MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the diagram
 
 Report = Callable[[DiagramError], None]
-"""Handler of a problem: `lower` raises the first, `twodof.compile.program.check` collects them all."""
+"""Handler of a problem: `lower` raises the first one, `twodof.compile.program.check` collects them all."""
 
 
 class AlgebraicLoop(DiagramError):
@@ -48,10 +48,10 @@ def refuse(error: DiagramError) -> None:
 
 
 class FlatDiagram:
-    """The nodes and parameters of a diagram, connected and checked. `report` is told of each problem.
+    """Nodes and parameters of a diagram, connected and checked. `report` is called with each problem.
 
-    Where a report returns, something harmless stands in for what is missing, so that the checks can go on. An input
-    that nothing feeds is fed by a signal in `unknown`. A block that cannot be traced is left out.
+    If `report` returns, the checks go on with a harmless substitute: an input without a driver gets a signal in
+    `unknown`, and a block that cannot be traced is left out.
     """
 
     def __init__(self, diagram: Diagram, report: Report = refuse) -> None:
@@ -76,7 +76,8 @@ class FlatDiagram:
         while stack:
             level, rate, conditions, bound, depth = stack.pop()
             if depth > MAX_DEPTH:
-                report(DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", level.path, "flatten it"))
+                what = f"sub-diagrams are nested more than {MAX_DEPTH} deep"
+                report(DiagramError(what, level.path, "use fewer levels"))
                 continue
             self.levels.append(level)
             declared = level.diagram.params
@@ -175,7 +176,7 @@ class FlatDiagram:
                         continue
                     self.signals |= {f"{level.path}.{path}": s for path, s in driven.items()}
                     if len(self.signals) > MAX_SIGNALS:
-                        raise DiagramError(f"more than {MAX_SIGNALS} signals", self.diagram.name, "use arrays")
+                        raise DiagramError(f"it has more than {MAX_SIGNALS} signals", self.diagram.name, "use arrays")
             for part in level.diagram.parts.values():
                 inner = level.parts.get(part.name)
                 if inner is not None:
@@ -200,7 +201,7 @@ class FlatDiagram:
             with self._reported():
                 signal = inner.outputs[name] if isinstance(inner, Node) else inner.driver(name)
                 if not signal.path.startswith(f"{inner.path}."):
-                    raise DiagramError("nothing inside computes it: it holds nothing", where, f"leave its {what} out")
+                    raise DiagramError("no part inside computes this output", where, f"leave its {what} value out")
                 found = check_initial(value, signal, where)
                 held = getattr(signal, what)
                 if held not in (None, found):
@@ -287,7 +288,7 @@ class FlatDiagram:
                 check_base_rate(node.block, node.rate, node.path)
 
     def ordered(self) -> list[FlatSignal]:
-        """Return all outputs of all nodes, each after those it needs, ties by path; check for loops and for rates."""
+        """Return all outputs of all nodes, each after those that it needs, ties by path; check loops and rates."""
         everything = [s for n in self.nodes for s in n.outputs.values()]
         order = _ordered(self.diagram.name, everything, self.report)
         _check_rates(self.nodes, order, self.unknown, self.report)
@@ -309,14 +310,14 @@ class FlatDiagram:
 
 
 def node_of(signal: FlatSignal) -> Node:
-    """Return the node that gives a signal. Raises ValueError for an input of the program."""
+    """Return the node whose output a signal is. Raises ValueError for an input of the program."""
     if signal.node is None:
         raise ValueError(f"{signal.path} is an input of the program")
     return signal.node
 
 
 def drivers_of(signal: FlatSignal) -> list[FlatSignal]:
-    """Return the driven signals that this one depends on in the same tick through its block."""
+    """Return the outputs of nodes on which this signal depends in the same tick through its block."""
     node = node_of(signal)
     found = [node.drivers[name] for name in sorted(node.trace.feedthrough[signal.port])]
     return [d for d in found if d.node is not None]
@@ -328,7 +329,7 @@ def tick_needs(signal: FlatSignal) -> list[FlatSignal]:
 
 
 def conditions_of(node: Node) -> list[FlatSignal]:
-    """Return the driven signals that enable and reset a node."""
+    """Return the outputs of nodes that enable, reset or trigger a node."""
     return [s for c in node.conditions for s in c.signals if s.node is not None]
 
 
@@ -379,7 +380,7 @@ def _loop(needs: Mapping[FlatSignal, Sequence[FlatSignal]]) -> list[FlatSignal]:
 
 
 def constants(ordered: Iterable[FlatSignal]) -> set[FlatSignal]:
-    """Return the signals that change only with parameters: they have no rate."""
+    """Return the signals that change only with parameters, and so have no rate."""
     constant: set[FlatSignal] = set()
     for s in ordered:
         node = node_of(s)
@@ -401,7 +402,7 @@ def _check_rates(
             if rate != node.rate and signal not in rateless and not node.block.crossing:
                 report(
                     DiagramError(
-                        f"it runs at {tuple(node.rate)} and {signal.path} at {tuple(rate)}",
+                        f"it runs at {tuple(node.rate)}, and its signal {signal.path} at {tuple(rate)}",
                         f"{node.path}.{name}",
                         "put a ZeroOrderHold or RateTransition between them",
                     )

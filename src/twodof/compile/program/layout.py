@@ -1,4 +1,4 @@
-"""The C structs of a program: P parameters, S states, U inputs, Y outputs, and where each path stands in them."""
+"""C structs of a program: P parameters, S states, U inputs, Y outputs, and the member of each path."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not 
 
 @dataclass(frozen=True)
 class Member:
-    """A struct's member: its C name and type, what its comment shows, and the path of its block."""
+    """A struct's member: its C name and type, the parts of its comment, and the path of its block."""
 
     name: str
     kind: str
@@ -35,7 +35,7 @@ class Member:
 
 @dataclass
 class Struct:
-    """Members with names of their own."""
+    """Members of a C struct, with unique names."""
 
     members: list[Member] = field(default_factory=list)
     names: CNames = field(default_factory=CNames)
@@ -47,7 +47,7 @@ class Struct:
 
 
 class MemoryLayout:
-    """The members that hold the parameters, states, held signals, inputs and outputs of a program."""
+    """Members that hold the parameters, states, held signals, inputs and outputs of a program."""
 
     def __init__(self, program: FlatProgram) -> None:
         self.p, self.s, self.x, self.u, self.y = Struct(), Struct(), Struct(), Struct(), Struct()

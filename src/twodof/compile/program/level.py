@@ -1,4 +1,4 @@
-"""Level: a diagram in its place, with the signals that its connections lead to."""
+"""Level: a diagram or sub-diagram at its path, and the signals to which its connections lead."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twodof.errors import DiagramError, nearest
 
 @dataclass(eq=False)
 class Level:
-    """A diagram in its place; `parts` are its blocks' nodes and its sub-diagrams' levels."""
+    """A diagram or sub-diagram at its path; `parts` are its blocks' nodes and its sub-diagrams' levels, by name."""
 
     diagram: Diagram
     path: str  # of this diagram, for messages
@@ -25,7 +25,7 @@ class Level:
 
     @property
     def conditions(self) -> list[Condition]:
-        """Its own and those of the diagrams around it, the innermost first."""
+        """Conditions of this diagram and of those around it, the innermost first."""
         found = [] if self.condition is None else [self.condition]
         return found if self.parent is None else [*found, *self.parent.conditions]
 
@@ -34,7 +34,7 @@ class Level:
         return scalar(self._driven(output), f"{self.path}.{output}")
 
     def drivers(self, output: str) -> dict[str, FlatSignal]:
-        """Return the signals that drive one of this diagram's outputs, by path: one, or the fields of a bus."""
+        """Return the signals that drive one of this diagram's outputs, by path: one signal, or the fields of a bus."""
         return {f"{output}.{field}" if field else output: s for field, s in self._driven(output).items()}
 
     def _driven(self, output: str) -> dict[str, FlatSignal]:
@@ -44,7 +44,7 @@ class Level:
         return self.signals(source)
 
     def resolve(self, source: str) -> FlatSignal:
-        """Return the signal that `source` names in this diagram; not a bus."""
+        """Return the signal named `source` in this diagram. Raises DiagramError for a bus."""
         return scalar(self.signals(source), f"{self.path}.{source}")
 
     def signals(self, source: str) -> dict[str, FlatSignal]:
@@ -67,14 +67,16 @@ class Level:
                 continue
             inner = at.parts.get(part)
             if inner is None:
-                raise DiagramError("its source lies too deep", f"{self.path}.{source}", "flatten the diagram")
+                raise DiagramError(
+                    "its source is in sub-diagrams nested too deep", f"{self.path}.{source}", "use fewer levels"
+                )
             if isinstance(inner, Node):
                 return _fields(inner.outputs, port)
             below = inner.diagram.outlet(port)
             if below is None:
                 raise not_connected("output", f"{inner.path}.{port}")
             at, text = inner, below
-        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
+        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "put a block into the loop")
 
 
 def _fields(signals: Mapping[str, FlatSignal], name: str) -> dict[str, FlatSignal]:
@@ -84,7 +86,7 @@ def _fields(signals: Mapping[str, FlatSignal], name: str) -> dict[str, FlatSigna
 
 
 def scalar(found: Mapping[str, FlatSignal], where: str) -> FlatSignal:
-    """Return the one signal of a source. Raises DiagramError for a bus."""
+    """Return the signal in `found`, from `Level.signals`. Raises DiagramError for a bus."""
     if "" not in found:
         raise DiagramError(f"it is a bus, with the fields {nearest('', found)}", where, "name one of its fields")
     return found[""]

@@ -19,7 +19,7 @@ INTEGRATORS = ("rk4", "euler")
 def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str = "rk4") -> FlatProgram:
     """Return the program of `diagram` at the base tick `dt` [s], with the signals in `log` as further outputs.
 
-    Raises DiagramError, with the whole path, where the diagram is incomplete or contradicts itself.
+    Raises DiagramError, with the whole path, if the diagram is incomplete or contradicts itself.
     """
     tick = check_tick(dt, diagram.name)
     if integrator not in INTEGRATORS:

@@ -57,30 +57,30 @@ class MessageField:
 
     @property
     def c_declaration(self) -> str:
-        """The member of a C struct."""
+        """Declaration as a member of a C struct."""
         return f"{_C_TYPES[self.kind]} {self.name}{'' if self.width is None else f'[{self.width}]'};"
 
     @property
     def described(self) -> str:
-        """Its path and unit, for people."""
+        """Text with path and unit."""
         return f"{self.path} [{self.unit}]" if self.unit else self.path
 
     @property
     def words(self) -> int:
-        """32-bit words in a row of a recorded sequence."""
+        """Number of 32-bit words in a row of a recorded sequence."""
         return self.width or 1
 
 
 @dataclass(frozen=True)
 class MessageFields:
-    """The inputs and the outputs (with the logged signals) of a module, in the program's order."""
+    """Inputs and outputs (with the logged signals) of a module, in the program's order."""
 
     inputs: tuple[MessageField, ...]
     outputs: tuple[MessageField, ...]
 
     @property
     def description(self) -> int:
-        """Characters of the message's description in a log, without its name."""
+        """Number of characters of the message's description in a log, without its name."""
         rows = [f"{TYPES[f.kind]}_t[{f.words}] {f.name};" for f in (*self.inputs, *self.outputs)]
         rows += [f"{kind}_t {name};" for kind, name, _ in HEAD] + ["uint8_t[8] _padding0;"]
         return sum(map(len, rows))
@@ -89,7 +89,7 @@ class MessageFields:
 def fields(program: FlatProgram, outputs: int) -> MessageFields:
     """Return the fields of a program whose first `outputs` outputs are the diagram's, the others logged signals.
 
-    Raises DiagramError for more than a uORB message and a log's description of it can hold.
+    Raises DiagramError if there are more than a uORB message or its description in a log can hold.
     """
     ins = _named("in", list(program.inputs.items()))
     rows = list(program.outputs.items())
@@ -171,7 +171,7 @@ def controller(diagram: Diagram, names: ModuleNames, log: Sequence[str]) -> Cont
         raise DiagramError(
             f"its local arrays need {arrays} bytes of stack; PX4's work queue has room for {LARGEST_FRAME - 600}",
             diagram.name,
-            "make the arrays shorter, or states, which do not stand on the stack",
+            "make the arrays shorter, or keep them in states, which are not on the stack",
         )
     return ControllerCode(program, emitted.source, emitted.layout, stack)
 

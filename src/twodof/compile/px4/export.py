@@ -29,7 +29,7 @@ FIRST_ID, IDS = 22000, 1000  # PX4 reserves these for custom models
 
 @dataclass(frozen=True)
 class Px4Module:
-    """A diagram as a module for PX4. `files` is the whole tree: relative path -> text."""
+    """A diagram as a module for PX4. `files` is the whole tree: texts by relative path."""
 
     names: ModuleNames
     role: ModuleRole
@@ -55,8 +55,8 @@ def export(
 def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> Px4Module:
     """Make the module of `diagram`, which also logs the signals at the paths `log`. Equal arguments give equal text.
 
-    `prefix` begins the parameters' names, 1 to 5 capitals or digits; without it the diagram's name decides. Raises
-    DiagramError for a diagram that is faulty, whose ports are nothing in PX4, or that is too large for it.
+    `prefix`, 1 to 5 capitals or digits, begins the parameters' names; by default it is made from the diagram's name.
+    Raises DiagramError for a diagram that is faulty, has ports for which PX4 has no signal, or is too large for PX4.
     """
     names = module_names(diagram.name, prefix)
     made = controller(diagram, names, tuple(log))
@@ -102,7 +102,7 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
 
 
 def airframe_id(names: ModuleNames) -> int:
-    """Return SYS_AUTOSTART of the module's airframe, always the same for one name."""
+    """Return SYS_AUTOSTART of the module's airframe, which depends on the module's name only."""
     return FIRST_ID + crc32(names.module.encode()) % IDS
 
 
@@ -158,7 +158,7 @@ def readme(
     kept: Sequence[KeptParameter],
     text: str,
 ) -> str:
-    """Return the README: use of the tree, signals, parameters, and the behaviour in doubt."""
+    """Return the README: use of the tree, signals, parameters, and behaviour on faults."""
     inputs = [
         (f"`{f.path}`", f.unit or "-", _cell(", ".join(INPUTS[f.path].topics)), _cell(INPUTS[f.path].text))
         for f in found.inputs

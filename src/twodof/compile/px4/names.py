@@ -1,6 +1,6 @@
 """Names inside PX4: of the module, topic and class, of parameters and of message fields.
 
-Each rule looks at one name alone as far as it can, so that a new part of a diagram does not rename the others.
+Each name depends on other names as little as possible, so that a new part of a diagram does not rename the others.
 """
 
 import functools
@@ -40,12 +40,12 @@ class ModuleNames:
 
     @property
     def module(self) -> str:
-        """The module, its command, the topic and the beginning of the C names."""
+        """Name of the module, of its command and topic; it also begins the C names."""
         return f"twodof_{self.stem}"
 
     @property
     def class_name(self) -> str:
-        """The class and the message."""
+        """Name of the class and of the message."""
         return "Twodof" + "".join(word.capitalize() for word in self.stem.split("_"))
 
 
@@ -53,10 +53,10 @@ def module_names(diagram: str, prefix: str = "") -> ModuleNames:
     """Return the names of the module of a diagram called `diagram`; `prefix` begins its parameters' names.
 
     The stem is the diagram's name in small letters, at most LONGEST_STEM long; a longer one ends with a digest. A word
-    of one letter joins the one before it, since PX4 makes a topic's name from the capitals of the message's. Without
-    `prefix` it is T, the first letters of the words (or two letters of the only one), and the number at the end. So
-    variants of a diagram differ. It has five characters at most. Raises DiagramError for a prefix that is not 1
-    to 5 capitals and digits.
+    of one letter joins the one before it, since PX4 makes a topic's name from the capitals of the message's. The
+    default prefix is T, the first letters of the words (or two letters of the only one), and the number at the end of
+    the name, which tells variants of a diagram apart; together at most five characters. Raises DiagramError for a
+    prefix that is not 1 to 5 capitals and digits.
     """
     words: list[str] = []
     for word in re.findall(r"[a-z0-9]+", diagram.lower()):
@@ -93,10 +93,10 @@ def parameter_names(
 ) -> list[str]:
     """Return names of at most 16 characters for the parameters at `paths` (with the index of an array's element).
 
-    A name is PREFIX_PART_NAME(_INDEX). One that is too long loses letters from the end of its longest word, again and
-    again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. Where
-    the diagram is the `part` of a vehicle, `elsewhere` names the vehicle's other parameters. A name that is like one of
-    them ends with a digest of the part's name and its path. Raises DiagramError if two are alike even so.
+    A name is PREFIX_PART_NAME(_INDEX). One that is too long loses the last letter of its longest word until it fits.
+    Names that would be equal, or equal to one of `taken`, are cut and end with a digest of their paths. If the diagram
+    is the `part` of a vehicle, `elsewhere` names the vehicle's other parameters; a name equal to one of them ends with
+    a digest of the part's name and its path. Raises DiagramError if two names are equal even so.
     """
     reserved, others = set(taken), set(elsewhere)
     made = [_shortened(prefix, path, index) for path, index in paths]
@@ -130,7 +130,7 @@ def _shortened(prefix: str, path: str, index: int | None) -> str:
 
 
 def field_names(prefix: str, paths: Sequence[str]) -> list[str]:
-    """Return the message's fields for the signals at `paths`: `prefix`_path in small letters, cut and numbered."""
+    """Return the message's field names for the signals at `paths`: `prefix`_path in small letters, all different."""
     made: list[str] = []
     for path in paths:
         stem = re.sub(r"[^a-z0-9]+", "_", path.lower()).strip("_") or "signal"
@@ -156,9 +156,9 @@ def harmless(text: str, longest: int) -> str:
 
 
 def fill(template: str, names: ModuleNames, **fields: object) -> str:
-    """Fill in a file of `templates/`: `${module}`, the other names, and `fields`.
+    """Return a file of `templates/` with `${module}`, the other names and `fields` filled in.
 
-    Raises KeyError for a field of the template that is not given.
+    Raises KeyError for a field of the template without a value.
     """
     own = {"module": names.module, "MODULE": names.module.upper(), "class_name": names.class_name}
     return _template(template).substitute(own, prefix=names.prefix, **fields)

@@ -53,12 +53,12 @@ class ExportedParameter:
 
     @property
     def place(self) -> str:
-        """The diagram's parameter, with the element's index; "" for the module's own."""
+        """Path of the diagram's parameter, with the element's index; "" for the module's own."""
         return f"{self.path}{'' if self.index is None else f'[{self.index}]'}"
 
     @property
     def bounds(self) -> str:
-        """The bounds for people."""
+        """Text of the bounds."""
         if self.kind == "bool":
             return "true or false"
         low, high = (number(bound, self.kind) for bound in (self.low, self.high))
@@ -69,13 +69,13 @@ class ExportedParameter:
 
     @property
     def px4_type(self) -> str:
-        """The type in module.yaml."""
+        """Type in module.yaml."""
         return {"real": "float", "bool": "boolean"}.get(self.kind, "int32")
 
 
 @dataclass(frozen=True)
 class KeptParameter:
-    """Parameter that stays at its default, with the reason."""
+    """Parameter that is not in PX4 and keeps its default, with the reason."""
 
     path: str
     reason: str
@@ -84,9 +84,9 @@ class KeptParameter:
 def exported(
     program: FlatProgram, names: ModuleNames, torque: bool
 ) -> tuple[list[ExportedParameter], list[KeptParameter]]:
-    """Return the rows of the diagram's parameters, then those of the module itself, and the parameters not shown.
+    """Return the rows of the diagram's parameters and of the module's own, and the parameters that are not in PX4.
 
-    A parameter that is not tunable is read when the module starts; see `diagram_rows` for those not shown. `torque`
+    A parameter that is not tunable is read when the module starts; see `diagram_rows` for those not in PX4. `torque`
     adds the scale of the torque set-point. Raises DiagramError for more than MOST parameters.
     """
     own = [ExportedParameter(f"{names.prefix}_{LIVE}", "bool", 1.0, 0.0, 1.0, "", _LIVE_TEXT)]
@@ -95,7 +95,8 @@ def exported(
         own.append(ExportedParameter(f"{names.prefix}_{TORQUE}", "real", scale, 0.0, 10.0, "", _TORQUE_TEXT))
     wanted, _ = _wanted(program)
     if len(wanted) > MOST:
-        raise DiagramError(f"{len(wanted)} parameters for PX4", program.name, f"{MOST} at most; bind or remove some")
+        what = f"it has {len(wanted)} parameters for PX4, too many"
+        raise DiagramError(what, program.name, f"use at most {MOST}: bind or remove some")
     rows, kept = diagram_rows(program, names.prefix)
     return [*rows, *own], kept
 
@@ -103,11 +104,11 @@ def exported(
 def diagram_rows(
     program: FlatProgram, prefix: str, elsewhere: Iterable[str] = (), part: str = ""
 ) -> tuple[list[ExportedParameter], list[KeptParameter]]:
-    """Return the rows of the diagram's parameters alone, at most MOST, and the parameters not shown.
+    """Return the rows of the diagram's parameters, at most MOST, and the parameters that are not in PX4.
 
-    An array of more than WIDEST elements, and a default that PX4 cannot hold (not finite, an integer above 2^31 - 1),
-    stay as they are. The names are those in PX4's module, but where `elsewhere` has one of them already
-    (`parameter_names`). Raises DiagramError for two whose names are alike.
+    Not in PX4 are an array of more than WIDEST elements, a float64, and a parameter whose default PX4 cannot hold (not
+    finite, an integer above 2^31 - 1). The names are those in PX4's module, unless `elsewhere` has one of them already
+    (`parameter_names`). Raises DiagramError for two equal names.
     """
     wanted, kept = _wanted(program)
     beyond = dict.fromkeys(path for path, _ in wanted[MOST:])
@@ -219,7 +220,7 @@ def decimals(default: float) -> int:
 
 
 def number(value: float, kind: str) -> str:
-    """Return a number as YAML and PX4's generators read it: the shortest of this float32, with a point."""
+    """Return a number for YAML and PX4's generators: the shortest text of this float32, with a decimal point."""
     if kind == "bool":
         return "true" if value else "false"
     if kind != "real":

@@ -1,4 +1,4 @@
-"""Exported tree: written wholly or not at all, and compared with a checkout of PX4 as far as PX4's build does not."""
+"""Exported tree: written wholly or not at all, and checked against a checkout of PX4 where PX4's build does not."""
 
 import hashlib
 import json
@@ -45,7 +45,7 @@ def absent(folder: Path) -> list[str]:
 
 
 def strangers(folder: Path) -> list[str]:
-    """Return the files in `folder` that are not of the export or were changed, by relative path."""
+    """Return the files in `folder` that do not belong to the export or were changed, by relative path."""
     sums = _sums(folder)
     found = []
     for root, folders, names in os.walk(folder):
@@ -68,11 +68,11 @@ def _sums(folder: Path) -> dict[str, str]:
 
 
 def write_tree(folder: Path, files: Mapping[str, str], force: bool = False) -> None:
-    """Write `files`, whose manifest is among them, as `folder`: wholly or not at all.
+    """Write `files`, which include their manifest, as `folder`: wholly or not at all.
 
     An empty folder and an unchanged export are replaced. An export with other or changed files is replaced only with
-    `force`. Raises LogError for any other folder, CompileError where the file system refuses. The new tree is made
-    beside its place and renamed into it.
+    `force`. Raises LogError for any other folder, CompileError if the file system refuses. The new tree is made beside
+    `folder` and then renamed.
     """
     target = folder.resolve()
     _check_place(target, folder, force)
@@ -120,7 +120,7 @@ def _check_place(target: Path, folder: Path, force: bool) -> None:
 
 ERROR, WARNING = "error", "warning"
 TESTED = "v1.16.1"
-"""The version in which modules of the starters were flown."""
+"""Version of PX4 with which modules of the starters were flown."""
 COMPILED = ("v1.14.4", "v1.15.4", "v1.17.0-beta1", "main of 2026-06-06 (8ae02ec4)")
 FIRST, LAST = (1, 14), (1, 17)
 DEADLINE = 20.0  # [s], of git
@@ -129,7 +129,7 @@ FAR = 2000  # commits after a tag, from which on the tag's numbers say nothing
 
 @dataclass(frozen=True)
 class CheckoutFinding:
-    """A mismatch: `level` "error" (the flight fails) or "warning" (it may)."""
+    """A mismatch: `level` "error" (the flight fails) or "warning" (the flight may fail)."""
 
     level: str
     what: str
@@ -139,7 +139,7 @@ class CheckoutFinding:
 
 @dataclass(frozen=True)
 class CheckoutFindings:
-    """Findings about the module `module` and a PX4 of `version` ("unknown" with the reason, if it is)."""
+    """Findings about the module `module` and a PX4 of `version`, "unknown" with the reason if git does not tell it."""
 
     module: str
     version: str
@@ -154,7 +154,7 @@ class CheckoutFindings:
 def check(px4: str | Path, folder: str | Path) -> CheckoutFindings:
     """Compare the export in `folder` with the checkout `px4`. Only `git describe` is run, and nothing is written.
 
-    Raises CompileError if `folder` holds no export; everything wrong with `px4` is a finding.
+    Raises CompileError if `folder` holds no export; all faults of `px4` are findings.
     """
     export, root = Path(folder), Path(px4).resolve()
     facts = read_manifest(export)
@@ -223,7 +223,7 @@ def _flight(root: Path, facts: dict[str, Any]) -> Iterator[_Row]:
     missing = [name for name in facts["stops"] if not (root / "src" / "modules" / name).is_dir()]
     if missing:
         what = f"has no {', '.join(missing)}, whose place the module takes"
-        yield WARNING, what, root, "see that nothing else commands; the .post stops it in vain"
+        yield WARNING, what, root, "check that no other module has its part; its stop in the .post script does nothing"
     number, own = facts["airframe"], f"{facts['airframe']}_{facts['module']}"
     for other in (root / "ROMFS").rglob(f"{number}_*"):
         if other.name != own and "." not in other.name:  # what runs behind an airframe has a suffix

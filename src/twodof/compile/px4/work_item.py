@@ -1,7 +1,7 @@
 """Work item of a module: the uORB topics behind a diagram's ports, and the C++ that PX4 runs on each gyro sample.
 
-`topics.toml` holds the tables of ports and topics, and explains their columns. The C++ does without PX4's ModuleBase,
-which is another class after v1.17, so that one text serves all versions.
+`topics.toml` holds the tables of ports and topics, and explains their columns. The C++ does not use PX4's ModuleBase,
+which is another class after v1.17, so that the same text compiles with all versions.
 """
 
 import tomllib
@@ -39,10 +39,10 @@ MOTORS = tuple(_TABLES["commands"]["motors"]["finite"])
 
 @dataclass(frozen=True)
 class ModuleRole:
-    """Where in PX4's cascade a diagram stands.
+    """Place of a diagram in PX4's cascade.
 
-    `commands` "torque" (M, perhaps thrust), "attitude" (theta_0, thrust) or "motors"; `stops` are PX4's own modules
-    that it replaces.
+    `commands` is "torque" (M, perhaps thrust), "attitude" (theta_0, thrust) or "motors"; `stops` are PX4's own modules
+    that the diagram's module replaces.
     """
 
     commands: str
@@ -57,7 +57,7 @@ class ModuleRole:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """The topics read, by name."""
+        """Names of the topics read."""
         topics = {"vehicle_angular_velocity", "vehicle_control_mode", "actuator_armed", "parameter_update"}
         for name in self.inputs:
             topics.update(INPUTS[name].topics)
@@ -69,7 +69,7 @@ class ModuleRole:
 
     @property
     def signs(self) -> dict[str, str]:
-        """Topic -> its module; the exported module does not start beside one of them.
+        """Topics that reveal another commanding module, with its name; beside one the exported module does not start.
 
         `vehicle_attitude_setpoint` is not among them: mavlink and mc_att_control publish it too, and never end.
         """
@@ -79,26 +79,26 @@ class ModuleRole:
 
     @property
     def asides(self) -> tuple[str, ...]:
-        """Further topics: to see other commanding modules, and to ask PX4 to disarm."""
+        """Further topics, to find other commanding modules and to make PX4 disarm."""
         return tuple(sorted({*self.signs, "vehicle_command", "vehicle_status"}))
 
     @property
     def commanding(self) -> Mapping[str, Any]:
-        """The part in common with all modules that command the same: see `topics.toml`."""
+        """Properties of all modules with the same `commands`: see `topics.toml`."""
         common: Mapping[str, Any] = _TABLES["commands"][self.commands]
         return common
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """The topics published, in the order in which they are."""
+        """Names of the topics published, in order of publication."""
         return tuple(self.commanding["writes"])
 
 
 def role(program: FlatProgram) -> ModuleRole:
     """Return the role of a program by the names of its ports.
 
-    Raises DiagramError, with the known names, for an input that PX4 has nothing for. It does so for a port of another
-    type, width or unit, and for outputs that command nothing or too much.
+    Raises DiagramError for an input for which PX4 has no signal, a port of another type, width or unit, and outputs
+    that command nothing or contradict each other.
     """
 
     def refused(what: str, remedy: str) -> DiagramError:
@@ -107,7 +107,7 @@ def role(program: FlatProgram) -> ModuleRole:
     for name, signal in program.inputs.items():
         reading = INPUTS.get(name)
         if reading is None:
-            raise refused(f"PX4 has nothing for its input {name!r}", f"inputs may be {', '.join(INPUTS)}")
+            raise refused(f"PX4 has no signal for its input {name!r}", f"use inputs among {', '.join(INPUTS)}")
         if (signal.kind, signal.width) != (reading.kind, None):
             width = "" if signal.width is None else f" of {signal.width}"
             raise refused(f"its input {name!r} is {signal.kind}{width}", f"make it {reading.kind}, a scalar")
@@ -145,7 +145,7 @@ _AGAIN = "\n    orb_advertise(ORB_ID(vehicle_attitude_setpoint), nullptr);"
 
 
 def work_item_header(names: ModuleNames, role: ModuleRole) -> str:
-    """Return the class's declaration."""
+    """Return the declaration of the work item's class."""
     topics = sorted({*role.reads, *role.writes, *role.asides, names.module})
     read = _kept(role)
     members = ["    float _thrust_setpoint{0.f};"] if role.thrust_setpoint else []
@@ -162,7 +162,7 @@ def work_item_header(names: ModuleNames, role: ModuleRole) -> str:
 
 
 def work_item(names: ModuleNames, role: ModuleRole, found: MessageFields) -> str:
-    """Return the class's definition and the command's entry."""
+    """Return the definition of the work item's class, and the entry of the module's command."""
     n = names.module
     rivals = (f'        {{ORB_ID({topic}), "{who} publishes {topic}"}},' for topic, who in sorted(role.signs.items()))
     return fill(

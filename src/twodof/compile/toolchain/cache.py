@@ -15,11 +15,11 @@ VERSION = "twodof-cache-4"
 MOST_ENTRIES = 2000
 MOST_BYTES = 2 * 1024**3
 FORSAKEN_S = 1200.0
-"""Twice the longest build: an older build folder belongs to a process that was killed."""
+"""Age from which a build folder belongs to a killed process: twice the longest build."""
 
 
 def cache_folder() -> Path:
-    """Return the user's folder of compiled files: TWODOF_CACHE, or XDG_CACHE_HOME/twodof, or ~/.cache/twodof."""
+    """Return the folder of compiled files: TWODOF_CACHE, or XDG_CACHE_HOME/twodof, or ~/.cache/twodof."""
     named = os.environ.get("TWODOF_CACHE")
     if named:
         return Path(named)

@@ -36,7 +36,7 @@ BUILD_SECONDS = 600
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler: its command line's beginning, and the flags only it needs."""
+    """A C compiler: its name, the beginning of its command line, and flags that only it needs."""
 
     name: str
     command: tuple[str, ...]
@@ -50,9 +50,9 @@ class Compiler:
 
 
 def find_compiler(name: str | None = None) -> Compiler:
-    """Return the compiler `name` ("cc", "gcc", "clang", "zig" or a path), or the first that is installed for None.
+    """Return the compiler `name` ("cc", "gcc", "clang", "zig" or a path), by default the first that is installed.
 
-    Raises CompileError if it is not there.
+    Raises CompileError if there is none.
     """
     for candidate in (name,) if name else ("cc", "gcc", "clang", "zig"):
         path = find_zig() if candidate == "zig" else shutil.which(candidate)
@@ -77,7 +77,7 @@ def find_zig() -> str | None:
 
 @functools.cache
 def processor() -> str:
-    """Return a text of everything that `-march=native` depends on."""
+    """Return a text that identifies everything on which `-march=native` depends."""
     try:
         first = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0]
     except OSError:
@@ -99,10 +99,11 @@ def compiled(
 ) -> Iterator[Path]:
     """Yield the file that `compiler` makes of the C `source` with `options`, from the cache if it is there.
 
-    `suffix` ends its name (".so", ".wasm", ".elf"). `depends` is what else decides its bytes (the processor, with
-    `-march=native`). `files` (name -> text) are written beside the source, where the compiler runs, so that an option
-    may name them (a linker script). The file may be gone after the `with`, and before where another process makes room.
-    `afresh` makes it even if it is there. Raises CompileError if the compiler refuses or hangs.
+    `suffix` ends its name (".so", ".wasm", ".elf"). `depends` identifies anything else that decides its bytes (the
+    processor, with `-march=native`). `files` (texts by name) are written beside the source, where the compiler runs, so
+    that an option may name them (a linker script). The file may be gone after the `with` block, and earlier if another
+    process prunes the cache. `afresh` makes it even if it is in the cache. Raises CompileError if the compiler refuses
+    or hangs.
     """
     key = _key(source, compiler, options, depends, files)
     with cached(key, suffix, lambda made: compile_c(source, made, compiler, options, files), afresh) as file:
@@ -135,17 +136,17 @@ def compile_c(
     if done.returncode or not target.is_file():
         said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
         raise CompileError(
-            f"it refused the C that was generated: {said or f'exit status {done.returncode}'}",
+            f"it refused the generated C: {said or f'exit status {done.returncode}'}",
             compiler.name,
             "check that the compiler works; if it does, this is a fault of twodof",
         )
 
 
 def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[bytes]:
-    """Run `compiler` in `folder`, where its temporary files are too. Returns its status and standard error.
+    """Run `compiler` in `folder`, also for its temporary files, and return its status and standard error.
 
-    Raises CompileError if it does not start, or does not end within BUILD_SECONDS: then the processes it has started
-    end with it.
+    Raises CompileError if it does not start, or if it does not end within BUILD_SECONDS; then the processes that it has
+    started end too.
     """
     command = [*compiler.command, *arguments]
     try:

@@ -1,1 +1,1 @@
-"""WebAssembly: the module, its interface, and wasmtime that runs it. See docs/reference/compilation.md."""
+"""WebAssembly: the module, its interface, and the engine wasmtime. See docs/reference/compilation.md."""

@@ -27,7 +27,7 @@ ROWS = 4096  # at most; ticks whose inputs and outputs stand in the memory at on
 ROW_BYTES = 1 << 18  # of all rows of one program, if one row is not larger
 LARGEST = 256 << 20  # bytes of memory that a module may have
 OPTIMISATION_BUDGET = 100_000_000
-"""From here on code is not optimised: zig's -O3 needs about 4 s of processor time for as much; cubic in the values."""
+"""`EmittedProgram.cost` above which code is not optimised, as zig's -O3 would need 4 s and soon much longer."""
 INTERFACE = 1  # version of what `WasmModule.interface` returns
 
 FLAGS = (
@@ -45,7 +45,7 @@ FLAGS = (
 
 @dataclass(frozen=True)
 class WasmAddresses:
-    """Addresses of a program's structs, and of `rows` further inputs and outputs, one behind the other."""
+    """Addresses of a program's structs, and of arrays of `rows` further inputs and outputs, in the module's memory."""
 
     structs: Mapping[str, int]
     inputs: int
@@ -72,7 +72,7 @@ class WasmAddresses:
 
 @dataclass(frozen=True)
 class WasmModule:
-    """`data` is the .wasm; `pages` its memory in pages of 64 KiB; `programs` by the prefix of their names."""
+    """A module: `data` is the .wasm, `pages` its memory in pages of 64 KiB, `programs` by the prefix of their names."""
 
     data: bytes
     pages: int
@@ -80,9 +80,9 @@ class WasmModule:
     places: Mapping[str, WasmAddresses]
 
     def interface(self, name: str | None = None) -> dict[str, Any]:
-        """Return the interface of the program `name` (the only one, if None): see docs/reference/compilation.md.
+        """Return the interface of the program `name`, by default the first: see docs/reference/compilation.md.
 
-        It can be written as JSON: a bound that is infinite is None. Addresses are in the module's memory, in bytes.
+        It is plain data for JSON, with None for an infinite bound. Addresses are in the module's memory, in bytes.
         """
         name = name or next(iter(self.programs))
         program, places = self.programs[name], self.places[name]
@@ -138,9 +138,9 @@ def _finite(bound: float) -> float | None:
 
 
 def find_wasm_compiler(name: str | None = None) -> Compiler:
-    """Return the compiler `name` ("zig", "clang" or a path to a clang), or else the first that is installed.
+    """Return the compiler `name` ("zig", "clang" or a path to a clang), by default the first that is installed.
 
-    Raises CompileError, with the package that gives it, if it is not there.
+    Raises CompileError, which names the package to install, if there is none.
     """
     if name in (None, "zig") and compilers.find_zig():
         found = compilers.find_compiler("zig")
@@ -160,10 +160,10 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
 def compile_module(
     programs: Sequence[EmittedProgram], compiler: str | None = None, optimise: str = "-O3"
 ) -> WasmModule:
-    """Compile `programs`, which stand in one source, to one module; needs no engine.
+    """Compile `programs`, which share one source, to one module. No engine is needed.
 
-    Code that takes too long to optimise (`EmittedProgram.cost`) is compiled with -O0, whatever `optimise` says.
-    Raises CompileError if the compiler is not there or refuses, or if a program needs too much memory.
+    Code that would take too long to optimise (`EmittedProgram.cost`) is compiled with -O0 in place of `optimise`.
+    Raises CompileError if the compiler is missing or refuses, or if a program needs too much memory.
     """
     found = find_wasm_compiler(compiler)
     places = {p.name: WasmAddresses.of(p) for p in programs}
@@ -210,16 +210,16 @@ AT_LEAST = 10_000
 
 
 def step_fuel(program: EmittedProgram) -> int:
-    """Return the fuel [instructions of WebAssembly, about] of one call of a function other than `run`.
+    """Return the fuel for one call of a function other than `run`: about as many instructions of WebAssembly.
 
-    An upper bound with a wide margin: PER_OPERATION for each operation of the language that any path computes, PER_BYTE
-    for what is filled and copied, and AT_LEAST. A program that needs more has a fault, or its compiler.
+    It is an upper bound with a wide margin: PER_OPERATION for each operation of the language on any path, PER_BYTE for
+    each byte that is filled or copied, and AT_LEAST. If a program needs more, it or its compiler has a fault.
     """
     return PER_OPERATION * operations(program.flat) + PER_BYTE * sum(program.sizes[1:]) + AT_LEAST
 
 
 def operations(program: FlatProgram) -> int:
-    """Return a bound of the operations of the language (elements of arrays included) in a step."""
+    """Return a bound of the number of the language's operations in a step; one on an array counts its elements."""
     stages = (4 if program.integrator == "rk4" else 1) * (len(program.edged) + 1)
     continuous = bool(program.integrated)
     total = 0

@@ -22,13 +22,13 @@ INSTALL = (
     "run `make sandbox` in twodof's folder; where it was installed without make: pip install wasmtime ziglang "
     "into the same environment"
 )
-"""What brings the sandbox, as a remedy of an error."""
+"""Remedy of an error: how to install the sandbox."""
 
 
 def check_ready(compiler: str | None = None) -> None:
     """Raise CompileError that names everything missing for the sandbox: wasmtime, a compiler (`compiler`, or any).
 
-    Asked again after an installation it looks anew, so a program that runs need not be started again.
+    Each call searches again, so that a running program finds a new installation without a restart.
     """
     importlib.invalidate_caches()
     missing = [] if find_spec("wasmtime") is not None else ["the package wasmtime"]
@@ -52,7 +52,7 @@ def check_ready(compiler: str | None = None) -> None:
 class Wasm:
     """WebAssembly run by wasmtime. `compiler` is "zig", "clang" or a path to a clang.
 
-    `fuel` is what one step may use, about one unit an instruction; None: what `step_fuel` gives.
+    `fuel` limits one step, about one unit per instruction; by default it is that of `step_fuel`.
     """
 
     compiler: str | None = None
@@ -72,12 +72,12 @@ MOST_FUEL = 2**62
 
 
 def wasmtime() -> Any:
-    """Return the package, loaded at first use. Raises CompileError if it is not installed."""
+    """Return the package wasmtime, imported at the first call. Raises CompileError if it is not installed."""
     try:
         return importlib.import_module("wasmtime")
     except ImportError as error:
         raise CompileError(
-            "the package wasmtime is not there",
+            "the package wasmtime is not installed",
             "target wasm",
             "run `make sandbox` in twodof's folder, or pip install wasmtime where twodof is installed",
         ) from error
@@ -96,7 +96,7 @@ def _engine() -> Any:
 def backends(module: WasmModule, fuel: int | None = None) -> list[WasmBackend]:
     """Return the programs of `module`, in its order; `fuel` as in `Wasm`.
 
-    Raises CompileError if wasmtime is not there or refuses the module.
+    Raises CompileError if wasmtime is not installed or refuses the module.
     """
     if fuel is not None and not 0 < fuel <= MOST_FUEL:
         raise CompileError(f"a step cannot have {fuel!r:.40} units of fuel", "target wasm", "give a positive number")
@@ -114,7 +114,7 @@ def backends(module: WasmModule, fuel: int | None = None) -> list[WasmBackend]:
 
 
 class WasmBackend:
-    """A program in a compiled module. `module.data` is the .wasm; `fuel` what one call may use (a run: each step)."""
+    """A program in a compiled module. `module.data` is the .wasm; `fuel` limits one call, and each step of a run."""
 
     def __init__(self, program: EmittedProgram, module: WasmModule, compiled: Any, fuel: int) -> None:
         self.program = program
@@ -132,11 +132,11 @@ class WasmBackend:
 
 
 class WasmInstance:
-    """Structs in the linear memory of one instance.
+    """One running instance, with its structs in a linear memory of its own.
 
-    Fuel is checked where a function begins and at each turn of a loop. So what a call uses beyond its fuel is at most
-    its code once. After a fault (a trap, or no fuel left) it computes no more: each call raises the same
-    ControllerFault. The structs can still be read; they are as the fault left them.
+    Fuel is checked at the beginning of a function and at each turn of a loop, so a call exceeds its fuel by at most one
+    pass through its code. After a fault (a trap, or no fuel left) each call raises the same ControllerFault. The
+    structs can still be read, as the fault left them.
     """
 
     def __init__(self, backend: WasmBackend) -> None:
@@ -192,10 +192,11 @@ class WasmInstance:
             )
         said = (getattr(error, "message", None) or str(error)).strip().splitlines()
         reason = code.name.lower().replace("_", " ") if code is not None else said[-1][:200] if said else "a trap"
-        return ControllerFault(f"it was stopped: {reason}", where, "report this as a fault of twodof, with the diagram")
+        what = f"the program was stopped: {reason}"
+        return ControllerFault(what, where, "report this as a fault of twodof, with the diagram")
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """Run `steps` ticks, in pieces that fit into the memory; see `target.Instance`. Each step has its fuel."""
+        """Run `steps` ticks, in pieces that fit into the memory; see `TargetInstance.run`. Each step has its fuel."""
         places, one_u, one_y = self._places, len(u) == 1, len(y) == 1
         if one_u:
             self._u[0] = u[0]
