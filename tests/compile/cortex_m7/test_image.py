@@ -53,7 +53,7 @@ def test_code_of_five_megabytes_does_not_fit(name: str) -> None:
     if name == "gcc":
         need("arm-none-eabi-gcc")
     table = "static const uint32_t table[1310720] = {1u};\n" + STEP + "{ y->a = table[u->a]; }"
-    with pytest.raises(CompileError, match="do not fit into the board.s 4 MB"):
+    with pytest.raises(CompileError, match="do not fit into the board's 4 MB"):
         image(table, name)
 
 
