@@ -114,6 +114,18 @@ def test_once_prints_the_state_without_a_lease(capsys: pytest.CaptureFixture[str
         pilot.arm()  # it still commands
 
 
+@pytest.mark.parametrize("form", [["--json"], []])
+def test_it_ends_when_its_reader_leaves(form: list[str]) -> None:
+    with ExitStack() as stack:
+        there = stack.enter_context(on_board(lockstep=True, index=6))
+        command = [*COMMAND, "--every", "0.05", *form, there.url]
+        process = stack.enter_context(started(command, stdout=subprocess.PIPE))
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        process.stdout.close()
+        assert process.wait(PATIENCE_S) in (0, 1)
+
+
 def test_no_drone_is_an_error_with_its_remedy(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

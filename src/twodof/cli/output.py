@@ -18,16 +18,18 @@ from rich.text import Text
 from twodof.errors import TwodofError, printable
 
 
-def print_json(document: Any, indent: int | None = 2) -> None:
+def print_json(document: Any, indent: int | None = 2) -> bool:
     """Print one JSON document; a number that JSON lacks (NaN, infinity) becomes null.
 
-    `indent` None writes one line, for a reader that follows the running program.
+    `indent` None writes one line, for a reader that follows the running program. Returns False if the reader has left.
     """
     try:
         sys.stdout.write(json.dumps(_plain(document), indent=indent, allow_nan=False) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         reader_has_left()
+        return False
+    return True
 
 
 def table(*columns: str, right: Iterable[int] = (), **more: Any) -> Table:

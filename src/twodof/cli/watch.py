@@ -226,13 +226,13 @@ async def _wait_for_values(drones: Sequence[WatchedDrone]) -> None:
 
 
 async def _show(drones: Sequence[WatchedDrone], every: float | None, json: bool) -> None:
-    """Draw the table on a terminal, else print lines, until cancelled."""
+    """Draw the table on a terminal, else print lines, until cancelled or until the reader of the lines has left."""
     console = table_console()
     if json or not console.is_terminal or console.is_dumb_terminal:
         await _wait_for_values(drones)
-        while True:
-            _print(drones, json, indent=None)
+        while _print(drones, json, indent=None):
             await asyncio.sleep(every or _LINES_S)
+        return
     with Live(console=console, screen=True, auto_refresh=False, transient=True) as live:
         while True:
             live.update(screen(drones), refresh=True)
@@ -291,12 +291,13 @@ def _number(value: float | None, scale: float, form: str) -> str:
     return "-" if value is None else format(scale * value, form)
 
 
-def _print(drones: Sequence[WatchedDrone], json: bool, indent: int | None) -> None:
+def _print(drones: Sequence[WatchedDrone], json: bool, indent: int | None) -> bool:
+    """Print the drones; return False if the reader of the JSON has left."""
     if json:
-        print_json({"drones": [reading(one) for one in drones]}, indent)
-        return
+        return print_json({"drones": [reading(one) for one in drones]}, indent)
     sys.stdout.writelines(f"{line(one)}\n" for one in drones)
     sys.stdout.flush()
+    return True
 
 
 def reading(one: WatchedDrone) -> dict[str, Any]:
