@@ -242,8 +242,9 @@ class LogShelf:
         folder = self.folder / ".scratch"
         make_folder(folder)
         for path in folder.iterdir():
-            if time.time() - path.stat().st_mtime > _LEFT_S:
-                path.unlink(missing_ok=True)
+            with suppress(OSError):  # the end of another transfer has removed it
+                if time.time() - path.stat().st_mtime > _LEFT_S:
+                    path.unlink()
         return folder
 
     def take_in(self, path: Path, name: str) -> str:
@@ -258,12 +259,13 @@ class LogShelf:
     def _rows(self, number: int, folder: Path) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = []
         for path in folder.iterdir() if folder.is_dir() else ():
-            if not is_log(path.name) or not path.is_file():
-                continue
-            found = path.stat()
-            name = f"{number}:{path.name}" if number else path.name
-            row = {"name": name, "file": path.name, "folder": str(folder) if number else "", "bytes": found.st_size}
-            rows.append(row | {"changed": found.st_mtime, "notes": self._notes(path).is_file()})
+            with suppress(OSError):  # it was deleted meanwhile
+                found = path.stat()
+                if not is_log(path.name) or not S_ISREG(found.st_mode):
+                    continue
+                name = f"{number}:{path.name}" if number else path.name
+                row = {"name": name, "file": path.name, "folder": str(folder) if number else "", "bytes": found.st_size}
+                rows.append(row | {"changed": found.st_mtime, "notes": self._notes(path).is_file()})
         return sorted(rows, key=lambda row: -float(row["changed"]))[:MOST]
 
     @staticmethod

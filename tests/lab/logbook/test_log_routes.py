@@ -241,6 +241,14 @@ def test_deleting_is_undone_with_the_notes_and_ends_after_its_days(
     assert not list((server.folder / "flights" / ".trash").iterdir())
 
 
+def test_a_file_that_vanishes_stops_no_transfer(server: Served) -> None:
+    vanished = server.folder / "flights" / ".scratch" / "vanished.csv"
+    vanished.parent.mkdir(exist_ok=True)
+    vanished.symlink_to("nowhere")
+    assert server.ask("GET", "/api/logs/a.mcap/file?form=csv").status == 200
+    vanished.unlink()
+
+
 def test_long_names_are_left_out_or_refused(server: Served) -> None:
     paths = [server.folder / "flights" / name for name in (f"{'é' * 122}.csv", f"{'k' * 236}.csv")]
     for path in paths:
