@@ -42,7 +42,7 @@ def test_channel_mode_decides() -> None:
     code = np.where(time < 103.0, MODES.index("rate"), MODES.index("position"))
     with_mode = FlightLog({**log.channels, "mode": channel("mode", time, code)})
     assert [stretch.mode for stretch in modes(with_mode)] == ["rate", "position"]
-    with pytest.raises(LogError, match="modes from 9 to 9"):
+    with pytest.raises(LogError, match="mode numbers from 9 to 9"):
         modes(FlightLog({"mode": Channel([0.0], [9.0])}))
 
 

@@ -81,7 +81,7 @@ def test_the_folder_at_hand_is_found(flight_data: Path, monkeypatch: pytest.Monk
 def test_a_download_is_verified_and_kept(nowhere: Path, site: str, monkeypatch: pytest.MonkeyPatch) -> None:
     row = replace(ROW, url=f"{site}/log")
     assert available() == {}
-    with pytest.raises(LogError, match=r"no such public log .there are: free-response-impulse, doublet"):
+    with pytest.raises(LogError, match=r"no such public log .choose one of free-response-impulse, doublet"):
         find("no-such-log")
     monkeypatch.setattr(public_data, "PUBLIC_LOGS", {"made-up": row})
     path = find("made-up", deadline_s=20.0)

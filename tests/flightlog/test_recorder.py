@@ -123,7 +123,7 @@ def test_samples_dropped_by_a_slow_disk_are_counted(tmp_path: Path, slow_disk: S
         assert not recorder.write_many("estimate.theta", range(100), np.zeros(100))
         assert taken == [True] * 101 + [False] * 899
         assert recorder.dropped == {"estimate.q": 899, "estimate.theta": 100}
-        with pytest.raises(LogError, match="1616 bytes at once, 1600 may wait"):
+        with pytest.raises(LogError, match="1616 bytes at once are more than the buffer of 1600"):
             recorder.write_many("estimate.theta", range(101), np.zeros(101))
         with pytest.raises(RecordingError, match=r"has not answered within 0\.05 s"):
             recorder.flush(0.05)
@@ -316,6 +316,6 @@ def test_a_disk_that_is_full_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "write", refuse)
-    with pytest.raises(RecordingError, match=r"No space left on device .nothing was recorded"):
+    with pytest.raises(RecordingError, match=r"No space left on device .*nothing was recorded"):
         Recorder(tmp_path / "a.mcap", ["q"])
     assert list(tmp_path.iterdir()) == []

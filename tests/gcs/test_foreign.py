@@ -46,7 +46,7 @@ async def test_a_verb_that_needs_our_messages_is_refused_at_once(peer: Foreign, 
     missing, call = OURS[verb]
     assert not drone.ours
     heard, start = len(peer.heard), asyncio.get_running_loop().time()
-    with pytest.raises(Rejected, match=f"not one of ours but px4, which has no .*{missing}"):
+    with pytest.raises(Rejected, match=f"no twodof drone but px4, which has no .*{missing}"):
         await call(drone)
     assert asyncio.get_running_loop().time() == start
     await asyncio.sleep(0.5)
@@ -69,7 +69,7 @@ async def test_its_messages_are_recorded_as_they_come(peer: Foreign, drone: Asyn
         start = peer.tick
         peer.send("BATTERY_STATUS", voltages=[4000] * 3 + [0xFFFF] * 7, battery_remaining=50)
         await asyncio.sleep(2.01)
-    with pytest.raises(LogError, match="only a drone of ours sends it"):
+    with pytest.raises(LogError, match="only a twodof drone sends this topic"):
         async with drone.record(tmp_path / "none.mcap", ["tof.distance"]):
             pass
     log = read_log(tmp_path / "px4.mcap")

@@ -63,7 +63,7 @@ def test_every_float32_survives(values: dict[str, float]) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "it holds no parameter"),
+        ("", "the file has no parameter"),
         ("1\t1\tRATE_KP\tnan\t9\n", "line 1"),
         ("1\t1\tRATE_KP\t0.1\n", "line 1"),
         ("# x\n1\t1\tRATE_KP\t0.1\t9\n1\t1\tRATE_KP\t0.2\t9\n", "line 3"),

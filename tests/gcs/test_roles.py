@@ -63,7 +63,7 @@ def test_the_commander_may_withhold_tuning(
                     tuner.parameters["RATE_KP"] = 0.08
                 with pytest.raises(Rejected, match="holds the lease and withholds tuning"):
                     tuner.parameters.change({"RATE_KP": 0.08, "ATT_KP": 9.0})
-                with pytest.raises(Rejected, match="we do not hold the lease"):
+                with pytest.raises(Rejected, match="this client does not hold the lease"):
                     tuner.withhold_tuning()
                 assert tuner.parameters["RATE_KP"] == pytest.approx(0.06)
                 commander.withhold_tuning(False)

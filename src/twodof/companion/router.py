@@ -264,7 +264,7 @@ class Router:
             client.due_once.add(number)
         if not sets:
             return frame.raw
-        union = self.streams.told(number)
+        union = self.streams.announce(number)
         if union == wish or (frame.signed and self.signing is None):
             return frame.raw
         sent: Any = decode(frame)

@@ -57,9 +57,9 @@ class Streams:
         """Return id and wish of each message whose wish has changed, and count it as sent to the vehicle."""
         numbers = _timed().union(self.asked, *(client.wishes for client in self.clients))
         before = dict(self.asked)
-        return [(number, wish) for number in sorted(numbers) if (wish := self.told(number)) != before.get(number)]
+        return [(number, wish) for number in sorted(numbers) if (wish := self.announce(number)) != before.get(number)]
 
-    def told(self, number: int) -> Wish:
+    def announce(self, number: int) -> Wish:
         """Return the union of wishes for a message, and count it as sent to the vehicle; forget an unused message."""
         wish = self.union(number)
         self.asked[number] = wish

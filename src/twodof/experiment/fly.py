@@ -195,7 +195,7 @@ def _listening(drone: Drone, what: ActiveController) -> Iterator[_Heard]:
         heard.safety.append((got.tick, safety_row(got)))
 
     def parameter(got: Any) -> None:
-        changes.told(seconds(there.tick), got)
+        changes.add(seconds(there.tick), got)
 
     session = there.session
     with (

@@ -1,4 +1,4 @@
-"""Flight logs: what is kept of a flight, in which formats, and what can be found in it.
+"""Flight logs: the recorded channels of a flight, their file formats, and the search for events in them.
 
 Names are loaded when they are first used, because scipy.io and pyarrow take longer to import than the rest of
 the package together.

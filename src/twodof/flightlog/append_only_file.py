@@ -17,26 +17,26 @@ from twodof.flightlog.atomic import create, partial_of, sync_folder
 
 Full = Literal["drop", "wait"]
 MAX_CAPACITY_BYTES = 1 << 24
-"""So that what waited becomes a chunk that readers inflate: its messages are 2.7 times as large."""
+"""Largest buffer [byte]. It becomes one chunk of the file, which readers inflate to 2.7 times its size."""
 DEADLINE_S = 10.0
 """A disk that has not answered for so long is taken for dead."""
 
 
 @dataclass(frozen=True)
 class Acknowledged:
-    """Part of a recording that is on the disk: the first `position` bytes, and the first `samples` accepted ones."""
+    """Part of a recording that is on the disk: its first `position` bytes with the first `samples` accepted samples."""
 
     position: int = 0
     samples: int = 0
 
 
 class AppendOnlyFile(ABC):
-    """Writer of a new file; a child class says what a producer hands over and how it is encoded.
+    """Writer of a new file that only grows. A subclass defines its samples and how they are encoded.
 
     Waiting samples are written and synced every `flush_s` [s], or as soon as `part_bytes` wait. At most
     `capacity_bytes` wait; beyond, `full` decides whether a sample is dropped and counted, or waits for the disk.
-    Safe to use from several threads; after a fork it belongs to the parent. With `overwrite` the file begins beside its
-    place, and replaces an existing file when its head is on the disk.
+    Safe to use from several threads; after a fork only the parent may use it. With `overwrite` the file is begun under
+    another name, and replaces an existing file once its head is on the disk.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class AppendOnlyFile(ABC):
     ) -> None:
         if not 0.0 < flush_s <= 60.0 or not 0 < capacity_bytes <= MAX_CAPACITY_BYTES or full not in ("drop", "wait"):
             raise LogError(
-                f"flush_s {flush_s!r}, capacity {capacity_bytes!r}, full {full!r}",
+                f"one of flush_s {flush_s!r}, capacity_bytes {capacity_bytes!r} and full {full!r} is out of range",
                 str(path),
                 f"give 0 < flush_s <= 60, at most {MAX_CAPACITY_BYTES} bytes and 'drop' or 'wait'",
             )
@@ -83,7 +83,7 @@ class AppendOnlyFile(ABC):
         return b""
 
     def flush(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
-        """Wait until everything accepted so far is on the disk. Raises RecordingError, also at the deadline."""
+        """Wait until all samples accepted so far are on the disk. Raises RecordingError, also after `deadline_s`."""
         with self._changed:
             goal = self.accepted
             self._asked = max(self._asked, goal)
@@ -125,8 +125,8 @@ class AppendOnlyFile(ABC):
             raise RecordingError("the recording is closed", str(self.path), "start another one")
         if self._waiting_bytes + size > self._capacity:
             if size > self._capacity:
-                what = f"{size} bytes at once, {self._capacity} may wait"
-                raise LogError(what, str(self.path), "give them in smaller parts")
+                what = f"{size} bytes at once are more than the buffer of {self._capacity}"
+                raise LogError(what, str(self.path), "write them in smaller parts")
             if self._full == "drop":
                 return False
             self._changed.notify_all()
@@ -163,7 +163,8 @@ class AppendOnlyFile(ABC):
             os.close(self._descriptor)
             self._begun.unlink(missing_ok=True)
             why = refusal.strerror if isinstance(refusal, OSError) else refusal.what
-            raise RecordingError(f"cannot be written: {why}", str(self.path), "nothing was recorded") from refusal
+            remedy = "make room or choose another folder; nothing was recorded"
+            raise RecordingError(f"cannot be written: {why}", str(self.path), remedy) from refusal
         self.acknowledged = Acknowledged(len(head), 0)
         self._thread.start()
 

@@ -31,7 +31,7 @@ def refused_places(path: str | Path) -> Iterator[None]:
 
 
 def check_free(path: str | Path, overwrite: bool = False) -> None:
-    """Check that no file is at `path`, or that it may be overwritten. Raises LogError."""
+    """Raise LogError if there is a file at `path`, unless it may be overwritten."""
     with refused_places(path):
         if not overwrite and Path(path).exists():
             raise LogError("is there already", str(path), REPLACE)
@@ -45,7 +45,7 @@ def numbered(path: str | Path) -> Path:
 
 
 def partial_of(path: str | Path) -> Path:
-    """Return the name under which a file begins that will replace `path`. Raises LogError for a folder."""
+    """Return a temporary name beside `path` for a file that will replace it. Raises LogError if `path` is a folder."""
     with refused_places(path):
         # A link is followed: its target is replaced, not the link.
         target = Path(path).resolve()
@@ -55,7 +55,7 @@ def partial_of(path: str | Path) -> Path:
 
 
 def create(begun: Path, path: str | Path) -> int:
-    """Create the file `begun`, which becomes `path`, and return its descriptor. Raises LogError, also if it exists."""
+    """Create the file `begun`, to be renamed to `path`; return its descriptor. Raises LogError, also if it exists."""
     with refused_places(path):
         try:
             # os.open, and not tempfile, so that the user's umask decides who may read the result.
@@ -85,7 +85,7 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
     except OSError as refusal:
         partial.unlink(missing_ok=True)
         what = f"cannot be written: {refusal.strerror or refusal}"
-        raise LogError(what, str(path), "nothing was changed") from refusal
+        raise LogError(what, str(path), "make room or choose another folder; nothing was changed") from refusal
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
@@ -93,7 +93,7 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
 
 
 def make_folder(folder: Path) -> None:
-    """Make `folder` and its missing parents, through to the disk. Raises OSError, LogError."""
+    """Make `folder` and its missing parents, and sync them to the disk. Raises OSError, LogError."""
     missing = [one for one in (folder, *folder.parents) if not one.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     for one in missing:

@@ -36,7 +36,8 @@ class DetectedExcitation:
     """An excitation found in a log: `name` is mode and shape, such as `attitude-steps`.
 
     `amplitude` is the largest distance from the first level, in the unit of `channel`. `edges` are the times of its
-    steps [s]; of a sweep, of its first and last change. `window` is the stretch to look at [s].
+    steps [s]; of a sweep, of its first and last change. `window` is the time from shortly before the excitation to the
+    end of the response [s].
     """
 
     name: str
@@ -84,7 +85,7 @@ def find_excitation(log: FlightLog, name: str) -> DetectedExcitation:
 
 
 def describe(log: FlightLog) -> dict[str, Any]:
-    """Return a log in figures, as JSON values.
+    """Return the table of contents of a log, as JSON values.
 
     Keys: `source`, `provenance`, `span_s`, `duration_s`; `channels` (name, unit, fields, samples, rate_hz, span_s,
     gaps, gaps_armed, missing, longest_gap_s); `gaps` (the first MAX_LISTED); `armed_s`; `modes`; `modes_unclear` (the

@@ -29,7 +29,7 @@ SETPOINTS = {"rate": "q0", "attitude": "theta0", "velocity": "v0", "position": "
 
 @dataclass(frozen=True)
 class Event:
-    """Change of a channel at `time` [s] from `before` to `after`."""
+    """Change of a channel at `time` [s] from `before` to `after`; `kind` is "thrust on", "step", "loop opened", ..."""
 
     time: float
     kind: str
@@ -127,11 +127,12 @@ def modes(log: FlightLog) -> list[Stretch]:
     if "mode" in log:
         time, code = log["mode"].time, log["mode"].value.astype(np.intp)
         if code.size and (code.min() < 0 or code.max() >= len(MODES)):
-            raise LogError(f"modes from {code.min()} to {code.max()}", f"{log.source}: mode", f"0 to {len(MODES) - 1}")
+            what = f"mode numbers from {code.min()} to {code.max()} are out of range"
+            raise LogError(what, f"{log.source}: mode", f"give 0 to {len(MODES) - 1}")
     else:
         time, code = log["q0"].time, _mode_codes(log)
     if not time.size:
-        raise LogError("no set-point was logged", f"{log.source}: q0")
+        raise LogError("no set-point was logged", f"{log.source}: q0", "give a log with samples of q0")
     starts = _run_starts(code)
     _check_count(starts.size, "changes of the mode", log.source)
     ends = np.append(time[starts[1:]], time[-1])
@@ -162,7 +163,7 @@ def mode_at(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def window(log: FlightLog, events: Sequence[Event], before: float = 0.3, after: float = 2.0) -> tuple[float, float]:
-    """Return the window from `before` the first event to `after` the last [s], within their stretch with thrust.
+    """Return the window (start, end) from `before` the first event to `after` the last [s], in the stretch with thrust.
 
     Without thrust the ends of the log bound it instead. Raises LogError without an event.
     """
@@ -209,9 +210,9 @@ def _held(log: FlightLog, name: str, time: NDArray[np.float64]) -> NDArray[np.bo
 
 
 def _open(log: FlightLog, time: NDArray[np.float64], on: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return True for the times at which M equals the latest message's; a message expires on board after 0.5 s.
+    """Return True for the times at which the loop is open: M equals that of the last message of the last 0.5 s.
 
-    Without logged messages: at which M stands still, which no loop's does, with the thrust on or M not 0.
+    Without logged messages, the loop is open where M stands still, as no closed loop's does, with thrust or M not 0.
     """
     if "M" not in log or not len(log["M"]):
         return np.zeros(time.shape, dtype=bool)

@@ -1,4 +1,4 @@
-"""Fence around strangers' files: a warm process reads each in a child with limits of memory, processor and time.
+"""Fence around strangers' files: each is read in a process of its own with limits of memory, processor and time.
 
 The libraries that read logs trust them: a file of a few kilobytes can take gigabytes, run for minutes or end the
 process. So they run in a process of their own. The warm process imports the library once and forks a child with limits
@@ -73,7 +73,7 @@ def _start() -> tuple[subprocess.Popen[bytes], socket.socket]:
 
 
 class Fence:
-    """Reads files one at a time in the child of a warm process, which is started when it is first needed."""
+    """Reader of files, one at a time, each in a child of a warm process, which is started when it is first needed."""
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
@@ -85,8 +85,8 @@ class Fence:
         """Return what `reader(data, path, *arguments)` returns for the bytes of a file; `arguments` are JSON values.
 
         `reader` is a function of a module; the module `needs` is imported before the child is forked. Raises the
-        LogError that it raises, and LogError for a file that cannot be opened, takes more than the limits allow, or
-        ends its reader.
+        LogError of the reader, and LogError for a file that cannot be opened, takes more than the limits allow, or
+        makes its reader crash.
         """
         with open_file(path) as file:
             size = os.fstat(file).st_size
@@ -126,7 +126,7 @@ class Fence:
             answer = _empty_file(MOST_TEXT + min(ANSWER + ANSWER_PER_BYTE * size, MOST_ANSWER))
         except OSError as reason:
             remedy = "raise the limit of a file's size (ulimit -f)"
-            raise LogError(f"there is no room for what it holds: {reason.strerror}", where, remedy) from reason
+            raise LogError(f"there is no room for its content: {reason.strerror}", where, remedy) from reason
         if self._warm is None:
             self._warm = _start()
         (_, control), status = self._warm, b""
@@ -139,7 +139,7 @@ class Fence:
                     raise EOFError
                 found = None if int(status) else _unpacked(answer)
         except TimeoutError:
-            raise LogError(f"is not read within {seconds:g} s", where, _REMEDY) from None
+            raise LogError(f"was not read within {seconds:g} s", where, _REMEDY) from None
         except (OSError, EOFError, ValueError, RecursionError) as reason:
             raise LogError(f"the process that reads files has ended: {reason}", where, "try again") from reason
         finally:
@@ -162,7 +162,7 @@ os.register_at_fork(after_in_child=_FENCE.forget)
 
 
 def serve(descriptor: int) -> None:
-    """Read one file after another, as they are asked for, until the other end closes. The warm process runs this."""
+    """Fork a child for each requested file until the other end of the socket `descriptor` closes: the warm process."""
     control = socket.socket(fileno=descriptor)
     while True:
         message, descriptors, _, _ = socket.recv_fds(control, 1 << 16, 2)

@@ -1,4 +1,4 @@
-"""One door for every file format: the suffix of the name decides. Files are read behind the fence."""
+"""Reading and writing of log files in every format, by the suffix of the name. Files are read behind the fence."""
 
 import importlib
 import os
@@ -43,8 +43,8 @@ def read_log(path: str | Path) -> FlightLog:
 def read_columns(path: str | Path, time: str) -> FlightLog:
     """Read a .csv or .parquet table, or the vectors of a .mat file, whose time stamps [s] are in the column `time`.
 
-    The other columns become channels under their own names; of a heading such as `speed [m/s]` the bracket is the
-    unit. Raises LogError for another suffix, a missing column, and a file that is damaged or no table.
+    The other columns become channels under their own names; the bracket of a heading such as `speed [m/s]` is the unit.
+    Raises LogError for another suffix, a missing column, and a file that is damaged or no table.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _TABLES:
@@ -66,7 +66,7 @@ def attachments(path: str | Path) -> list[Attachment]:
 
 
 def log_of(plain: dict[str, Any], arrays: Sequence[NDArray[Any]]) -> FlightLog:
-    """Return the log that `answer_of` took apart. Raises LogError."""
+    """Return the log whose parts `answer_of` returned. Raises LogError."""
     channels = {
         name: Channel(time, value, unit, tuple(fields), name)
         for (name, unit, fields), time, value in zip(plain["channels"], arrays[::2], arrays[1::2], strict=True)
@@ -75,7 +75,7 @@ def log_of(plain: dict[str, Any], arrays: Sequence[NDArray[Any]]) -> FlightLog:
 
 
 def answer_of(log: FlightLog) -> fence.Answer:
-    """Return a log as JSON values and arrays, as the fence hands it on."""
+    """Return the parts of a log, JSON values and arrays, in which a reader behind the fence answers."""
     rows = [[name, channel.unit, channel.fields] for name, channel in log.channels.items()]
     arrays = [array for channel in log.channels.values() for array in (channel.time, channel.value)]
     return {"channels": rows, "provenance": log.provenance}, arrays
@@ -93,7 +93,7 @@ def _attachments(data: bytes, where: str) -> fence.Answer:
 
 
 def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: bool = False) -> None:
-    """Write a log to a .mat, .mcap, .parquet, .csv or .ulg file, atomically. Raises LogError, also if it is there.
+    """Write a log to a .mat, .mcap, .parquet, .csv or .ulg file, atomically. Raises LogError, also if the file exists.
 
     A .ulg holds the signals of TOPICS; channels of other names are left out.
 
@@ -118,13 +118,13 @@ def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: b
 
 
 def check_place(path: str | Path, overwrite: bool = False) -> None:
-    """Check that `write_log` can write there: a known suffix, a folder that may be written. Raises LogError."""
+    """Raise LogError if `write_log` cannot write to `path`, for its suffix, its folder or an existing file."""
     _check(path)
     check_folder(path, overwrite)
 
 
 def check_folder(path: str | Path, overwrite: bool = False) -> None:
-    """Check that a file of any kind can be written there, before its content is made. Raises LogError."""
+    """Raise LogError if no file can be written to `path`; for checks before a long computation."""
     with refused_places(path):
         target = Path(path).resolve()
         if target.is_dir():
@@ -132,7 +132,7 @@ def check_folder(path: str | Path, overwrite: bool = False) -> None:
         if not target.parent.is_dir():
             raise LogError("its folder is not there", str(path), f"make it: mkdir -p {target.parent}")
     if not os.access(target.parent, os.W_OK | os.X_OK):
-        raise LogError("its folder may not be written", str(path), "choose another one")
+        raise LogError("its folder may not be written", str(path), "choose another folder")
     check_free(path, overwrite)
 
 

@@ -69,12 +69,13 @@ class Channel:
             what = f"shapes do not match: time {time.shape}, value {value.shape}"
             raise LogError(what, where, "time is (n,), value (n,) or (n, k)")
         if len(time) > MAX_SAMPLES:
-            raise LogError(f"{len(time)} samples", where, f"at most {MAX_SAMPLES} are accepted")
+            raise LogError(f"{len(time)} samples are too many", where, f"at most {MAX_SAMPLES} are accepted")
         if value.ndim == 2 and value.shape[1] == 1:
             value = value[:, 0]
         width = 1 if value.ndim == 1 else value.shape[1]
         if self.fields and len(self.fields) != width:
-            raise LogError(f"{len(self.fields)} field names for {width} columns", where)
+            what = f"there are {len(self.fields)} field names for {width} columns"
+            raise LogError(what, where, "give a name for each column, or none")
         _check_finite(time, where, time, "time")
         _check_finite(value, where, time, "value")
         backward = np.flatnonzero(np.diff(time) <= 0.0)
@@ -109,7 +110,7 @@ class Channel:
         at = _floats(t, "t")
         _check_finite(at, "t", at, "time")
         if how not in ("hold", "next"):
-            raise LogError(f"no way {how!r} of choosing a sample", self.name or "channel", "take hold or next")
+            raise LogError(f"no way {how!r} of choosing a sample", self.name or "channel", "give 'hold' or 'next'")
         if how == "hold":
             return np.searchsorted(self.time, at, side="right") - 1
         after = np.searchsorted(self.time, at, side="left")
@@ -141,16 +142,17 @@ class FlightLog:
 
     def __post_init__(self) -> None:
         if not self.channels:
-            raise LogError("a log needs at least one channel")
+            raise LogError("a log needs at least one channel", "FlightLog", "give it a channel")
         named = {
             name: channel if channel.name == name else channel.renamed(name) for name, channel in self.channels.items()
         }
         if len(named) > MAX_CHANNELS:
-            raise LogError(f"{len(named)} channels", self.source, f"at most {MAX_CHANNELS} are accepted")
+            raise LogError(f"{len(named)} channels are too many", self.source, f"at most {MAX_CHANNELS} are accepted")
         for name, channel in named.items():
             for one in (name, channel.unit, *channel.fields):
                 if len(one) > MAX_NAME or any("\ud800" <= letter <= "\udfff" for letter in one):
-                    raise LogError(f"the name or unit {shown(one)}", shown(name), f"at most {MAX_NAME} letters of text")
+                    what = f"the name or unit {shown(one)} is too long, or not valid Unicode"
+                    raise LogError(what, shown(name), f"give at most {MAX_NAME} letters")
         object.__setattr__(self, "channels", named)
         object.__setattr__(self, "provenance", dict(self.provenance))
 
@@ -178,7 +180,7 @@ class FlightLog:
         """Return the first and last time stamp of any channel [s]. Raises LogError if every channel is empty."""
         filled = [channel.time for channel in self.channels.values() if len(channel)]
         if not filled:
-            raise LogError("no channel holds a sample", self.source)
+            raise LogError("no channel holds a sample", self.source, "give a log with samples")
         return min(float(time[0]) for time in filled), max(float(time[-1]) for time in filled)
 
     def slice(self, t0: float, t1: float) -> "FlightLog":
@@ -198,7 +200,7 @@ class FlightLog:
     def resample(self, name: str, t: ArrayLike) -> NDArray[np.float64]:
         """Return the values of a channel at the times `t` (m,) [s], of shape (m,) or (m, k) for k columns.
 
-        That is the latest sample at or before each time. Raises LogError for a time before the first sample.
+        Each value is the latest sample at or before its time. Raises LogError for a time before the first sample.
         """
         channel = self[name]
         at = channel.index(t)
@@ -269,7 +271,7 @@ def _floats(values: ArrayLike, where: str) -> NDArray[np.float64]:
             raise TypeError("complex numbers")
         copy = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError) as reason:
-        raise LogError(f"not real numbers: {reason}", where) from reason
+        raise LogError(f"not real numbers: {reason}", where, "give an array of real numbers") from reason
     copy.flags.writeable = False
     return copy
 
@@ -289,7 +291,7 @@ def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.floa
 def sanitise(
     time: NDArray[np.float64], value: NDArray[np.float64], unit: str, fields: tuple[str, ...], name: str
 ) -> tuple[Channel, dict[str, int]]:
-    """Return the channel of samples in any order, and the counts of samples that it cannot hold.
+    """Return a channel made of samples in any order, and the counts of samples that were left out or reordered.
 
     `time` (n,) [s], `value` (n,) or (n, k). `not_finite` and `repeated` count samples that are left out; of samples
     with one stamp the first received is kept. `reordered` counts samples received after a later one. Raises LogError as
@@ -312,7 +314,7 @@ def sanitise(
 
 
 def log_of_rows(data: bytes, columns: Sequence[str], provenance: Mapping[str, Any]) -> FlightLog:
-    """Return the log of a plot's rows, as the page sends them to be kept.
+    """Return a log of the rows of a plot, in the form in which the page sends them for a download.
 
     `columns` are scalar signals of TOPICS by column name. `data` is little-endian: float64[n] times [s], rising, then
     float32[n] of each column, NaN for no value. Raises LogError for an unknown or repeated column, bytes that are not
@@ -320,9 +322,10 @@ def log_of_rows(data: bytes, columns: Sequence[str], provenance: Mapping[str, An
     """
     unknown = [name for name in columns if name not in _BY_COLUMN]
     if unknown:
-        raise LogError(f"no column {unknown[0]!r:.80}", "export", f"there are {nearest(unknown[0], _BY_COLUMN)}")
+        raise LogError(f"no column {unknown[0]!r:.80}", "export", f"choose of {nearest(unknown[0], _BY_COLUMN)}")
     if not columns or len(set(columns)) < len(columns):
-        raise LogError(f"columns: {listed(columns)}", "export", "give one or more, each once")
+        what = f"there are no columns, or repeated ones: {listed(columns)}"
+        raise LogError(what, "export", "give one or more, each once")
     row = 8 + 4 * len(columns)
     count, rest = divmod(len(data), row)
     if rest or not count:
@@ -340,10 +343,10 @@ def log_of_rows(data: bytes, columns: Sequence[str], provenance: Mapping[str, An
 def decimate(
     time: NDArray[np.float64], value: NDArray[np.float64], most: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return about `most` (2 or more) of the points `time` (n,), `value` (n,) of a line that look like all of them.
+    """Decimate a line `time` (n,), `value` (n,) to about `most` (2 or more) points, so that its plot looks the same.
 
-    Of each bucket the lowest point, the highest and the first NaN are kept; NaN interrupts the line. The first and the
-    last point are kept too.
+    Each bucket keeps its lowest point, its highest and its first NaN; NaN interrupts the line. The first and the last
+    point are kept too.
     """
     count = len(time)
     if count <= most:

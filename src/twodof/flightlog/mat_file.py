@@ -28,7 +28,7 @@ _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 def decode_mat(data: bytes, where: str, time: str = "") -> FlightLog:
     """Return the log in the bytes of a .mat file. Channels that TOPICS does not know are kept, without a unit.
 
-    With `time` it is that of the vectors as long as this one, which holds their stamps [s].
+    `time` names a vector of time stamps [s], if the file is no such log: its vectors of that length become channels.
 
     Raises LogError for a file that is truncated, foreign or damaged and for channels that Channel refuses. Variables
     that are not channels are named in provenance["ignored"].
@@ -134,11 +134,11 @@ def _channel(name: str, struct: Mapping[str, NDArray[np.float64]], where: str) -
         value = parts["value"]
         width = 1 if value.ndim == 1 else value.shape[1]
         if row is not None and width != row.width and len(time):
-            raise LogError(f"{width} columns where {name!r} has {row.width}", where, "export the log again")
+            raise LogError(f"it has {width} columns, {name!r} has {row.width}", where, "export the log again")
         return Channel(time, value, row.unit if row else "", row.fields if row else (), where)
     names = tuple(parts) if row is None else row.fields
     if set(names) != set(parts) or any(part.ndim != 1 for part in parts.values()):
-        raise LogError(f"its fields are {', '.join(parts)}", where, f"expected {', '.join(names)}")
+        raise LogError(f"its fields are {', '.join(parts)}", where, f"give columns called {', '.join(names)}")
     table = np.column_stack([parts[field] for field in names]) if len(time) else np.empty((0, len(names)))
     return Channel(time, table, row.unit if row else "", names, where)
 
@@ -159,9 +159,9 @@ def _parts(name: str, channel: Channel, where: str) -> dict[str, NDArray[Any]]:
     if name not in _SPREAD and not (name not in BY_MAT and channel.fields):
         return {"value": table}
     if not all(_MATLAB_NAME.fullmatch(field) and field != "timestamp" for field in channel.fields):
-        raise LogError(f"a field of {name!r} cannot name a MATLAB field", where, "rename it")
+        raise LogError(f"a field of {name!r} cannot name a MATLAB field", where, "rename the field")
     if len(channel.fields) != table.shape[1]:
-        raise LogError(f"channel {name!r} needs a name for each column", where, "give Channel its fields")
+        raise LogError(f"channel {name!r} needs a name for each column", where, "give the channel `fields`")
     return {
         field: table[:, [k]].astype(bool) if field in _LOGICAL else table[:, [k]]
         for k, field in enumerate(channel.fields)

@@ -51,8 +51,8 @@ Record = TypeVar("Record", bound=McapRecord)
 class McapContents:
     """Contents of a file: streams, their samples in the order of the file, tables of texts, attachments.
 
-    `ignored` counts the messages of foreign topics; `finished` says that the file was closed. Of a damaged file `lost`
-    lists the parts that were left out, and `unverified` those that were taken without a checksum that holds.
+    `ignored` counts the messages of foreign topics; `finished` says that the file was closed. For a damaged file `lost`
+    lists the parts that were left out, and `unverified` those that were kept without a right checksum.
     """
 
     streams: dict[int, McapStream] = field(default_factory=dict)
@@ -81,7 +81,7 @@ class McapContents:
 
 
 def scan(data: bytes, where: str, salvage: bool = False) -> McapContents:
-    """Return the contents of an MCAP file. Raises LogError for what is no MCAP and, without `salvage`, for any damage.
+    """Return the contents of an MCAP file. Raises LogError for any other file and, without `salvage`, for any damage.
 
     `salvage` keeps the sound parts of a damaged file and lists the others in `lost`.
     """

@@ -61,7 +61,7 @@ class McapSamples:
         return len(self.time_ns)
 
     def part(self, rows: slice | NDArray[np.intp]) -> "McapSamples":
-        """Return some of the samples."""
+        """Return the samples of the given `rows`."""
         stamp = None if self.stamp is None else self.stamp[rows]
         return McapSamples(self.time_ns[rows], self.value[rows], stamp)
 
@@ -97,13 +97,13 @@ def encoded(record: McapRecord) -> bytes:
 
 
 def sealed(record: Sealed) -> Sealed:
-    """Return a record whose metadata has the checksum of the record without it."""
+    """Return the record with a checksum of itself added to its metadata."""
     crc = zlib.crc32(encoded(record)[RECORD_HEAD_BYTES:])
     return replace(record, metadata={**record.metadata, CHECK: f"{crc:08x}"})
 
 
 class McapEncoder:
-    """Bytes of a file with these streams; each method returns the next part of the file."""
+    """Encoder of a file with these streams; each method returns the bytes of the next part of the file."""
 
     def __init__(self, streams: Sequence[McapStream]) -> None:
         self._streams = tuple(streams)
@@ -132,12 +132,12 @@ class McapEncoder:
         return made + b"".join(map(self._attachment, attachments))
 
     def metadata(self, name: str, rows: Mapping[str, str]) -> bytes:
-        """Return a table of texts."""
+        """Return the record of a table of texts, `rows` by key."""
         made = encoded(sealed(Metadata(name=name, metadata=dict(rows))))
         return self._made(made, Opcode.METADATA_INDEX, MetadataIndex(self._now.position, len(made), name))
 
     def chunk(self, samples: Mapping[int, McapSamples]) -> bytes:
-        """Return one chunk of samples, by the number of their stream, and its indexes; nothing for no samples."""
+        """Return one chunk of samples, given by the number of their stream, and its indexes; b"" for no samples."""
         now, plain, indexes, offsets = self._now, bytearray(), bytearray(), {}
         counts = Counter(now.messages)
         filled = {stream + 1: some for stream, some in samples.items() if len(some)}

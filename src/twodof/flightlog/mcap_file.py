@@ -23,14 +23,14 @@ NOTE = "twodof"
 END_NOTE = "twodof.end"
 RECOVERED_NOTE = "twodof.recovered"
 CHUNK_SAMPLES, CHUNK_BYTES = 8192, 1 << 22
-"""Most of a chunk, which a reader that seeks inflates: about a second of every topic at full rate."""
+"""Largest chunk, which a reader inflates to find one sample: about a second of every topic at full rate."""
 
 
 def decode_mcap(data: bytes, where: str) -> FlightLog:
-    """Return the log in a recording. Raises LogError for what is no MCAP, damaged, cut off or not ours.
+    """Return the log in an MCAP file. Raises LogError for a file that is damaged, cut off or without topics of twodof.
 
-    Foreign topics are counted in provenance["ignored"]. Samples that are not finite or repeat a stamp are left out and
-    counted in provenance["left_out"]. Those that the recorder could not take are in provenance["dropped"].
+    Messages of foreign topics are counted in provenance["ignored"]. Samples that are not finite or repeat a stamp are
+    left out and counted in provenance["left_out"]. Those that the recorder dropped are in provenance["dropped"].
     """
     return to_log(scan(data, where), provenance.of_file(where, data, "mcap"), where)
 
@@ -69,7 +69,7 @@ def parts_of(contents: McapContents) -> Iterator[bytes]:
 
 
 def to_log(contents: McapContents, file: dict[str, Any], where: str) -> FlightLog:
-    """Return the log that a file holds. Raises LogError if none of its topics is ours."""
+    """Return the log in the contents of an MCAP file. Raises LogError if no topic is one of twodof."""
     if not contents.streams:
         others = ", ".join(list(contents.ignored)[:10]) or "none"
         raise LogError(f"no topic of a flight log is in it; topics: {others}", where, "give a recording of twodof")
@@ -85,7 +85,7 @@ def to_log(contents: McapContents, file: dict[str, Any], where: str) -> FlightLo
         name = stream.mat
         channels[name], counts[name] = sanitise(time, value, stream.unit, stream.fields, f"{where}: {name}")
     if not channels:
-        raise LogError("no sample is in it", where, "nothing was recorded")
+        raise LogError("no sample is in it", where, "record the flight again")
     if contents.ignored:
         kept["ignored"] = dict(contents.ignored)
     return FlightLog(channels, {**noted(kept, counts), "file": file})

@@ -68,7 +68,7 @@ class McapStream:
 
     @property
     def definition(self) -> str:
-        """Return the schema, as ROS 2 writes messages; units are comments."""
+        """Return the schema of the messages in the notation of ROS 2; units are comments."""
         note = f"  # {_comment(self.unit)}" if self.unit else ""
         lines = [f"# {_comment(self.about)}"] if self.about else []
         lines += ["float64 time  # s, the stamp to its last bit"] if self.stamped else []
@@ -100,7 +100,7 @@ def stream_of(row: Topic) -> McapStream:
 
 
 def named(streams: Iterable[str | Topic | McapStream]) -> dict[str, McapStream]:
-    """Return streams by the name under which samples are given; a text is a signal of TOPICS, by name or .mat channel.
+    """Return streams by the name under which samples are written; a str names a signal of TOPICS or its .mat channel.
 
     Raises LogError for a signal that is unknown or named twice and for a stream that could not be read again.
     """
@@ -113,7 +113,7 @@ def named(streams: Iterable[str | Topic | McapStream]) -> dict[str, McapStream]:
             raise LogError("is recorded twice", name, "name each topic and channel once")
         if not made.fits or len(found) >= MAX_CHANNELS:
             raise LogError(
-                f"{made.width} columns, fields {listed(made.fields)}, channel {shown(made.mat)}",
+                f"{made.width} columns, fields {listed(made.fields)}, channel {shown(made.mat)} cannot be recorded",
                 name,
                 f"give a name for each column or none; at most {MAX_WIDTH} columns and {MAX_CHANNELS} topics",
             )
@@ -125,12 +125,13 @@ def streams_of(log: FlightLog) -> dict[str, McapStream]:
     """Return the stream of each channel of a log; channels that are not in TOPICS get topics `/other/...`."""
     found: dict[str, McapStream] = {}
     if len(log.channels) > MAX_CHANNELS:
-        raise LogError(f"{len(log.channels)} channels", log.source, f"at most {MAX_CHANNELS} are written")
+        raise LogError(f"{len(log.channels)} channels are too many", log.source, f"at most {MAX_CHANNELS} are written")
     for k, (name, channel) in enumerate(log.channels.items()):
         width = 1 if channel.value.ndim == 1 else channel.value.shape[1]
         known = BY_MAT.get(name)
         if width > MAX_WIDTH:
-            raise LogError(f"{width} columns, name {shown(name)}", log.source, f"at most {MAX_WIDTH} columns")
+            what = f"channel {shown(name)} has {width} columns"
+            raise LogError(what, log.source, f"give at most {MAX_WIDTH} columns")
         if known and (known.fields, known.unit, known.width) == (channel.fields, channel.unit, width):
             stream = stream_of(known)
         else:
@@ -141,9 +142,9 @@ def streams_of(log: FlightLog) -> dict[str, McapStream]:
 
 
 def parse(channel: ChannelRecord, schema: str) -> McapStream | None:
-    """Return the stream that a channel's record describes; None for a foreign topic. Raises for a damaged one.
+    """Return the stream that a channel's record describes; None for a foreign topic. Raises for a damaged record.
 
-    `schema` is the name of its schema for files of earlier versions, which do not have it in the description.
+    `schema` is the name of the channel's schema: earlier versions of twodof did not write it into the description.
     """
     if KEY not in channel.metadata or channel.message_encoding != "cdr":
         return None
@@ -158,7 +159,7 @@ def parse(channel: ChannelRecord, schema: str) -> McapStream | None:
 
 
 def ros_names(fields: Iterable[str]) -> list[str]:
-    """Return names that ROS accepts: lower case, digits and single underscores, each once."""
+    """Return names for `fields` that ROS accepts: lower case, digits and single underscores, each name once."""
     names: list[str] = []
     for field in fields:
         apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", field).lower()
@@ -172,7 +173,8 @@ def ros_names(fields: Iterable[str]) -> list[str]:
 def nanoseconds(time: NDArray[np.float64], where: str) -> NDArray[np.uint64]:
     """Return the whole nanoseconds closest to stamps [s]. Raises LogError before 0 and after the year 2262."""
     if time.size and (time[0] < 0.0 or time[-1] >= 2.0**63 / 1e9):
-        raise LogError(f"stamps from {time[0]!s} to {time[-1]!s} s", where, "MCAP counts from 0: shift the time")
+        what = f"stamps from {time[0]!s} to {time[-1]!s} s are out of range"
+        raise LogError(what, where, "shift the time: MCAP counts nanoseconds from 0")
     return np.rint(time * 1e9).astype(np.uint64)
 
 

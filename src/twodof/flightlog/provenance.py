@@ -1,4 +1,4 @@
-"""Opening of the files that are read, and the provenance of a log: file, checksum, history, versions."""
+"""Reading of files within a size, and the provenance of a log: file, checksum, history, versions."""
 
 import hashlib
 import json
@@ -24,6 +24,7 @@ MAX_DEPTH = 32
 """Deepest nesting of provenance: each level is indented where it is printed."""
 RECOVER = "get what is sound with: twodof log recover"
 """The remedy for a file that was cut off or damaged; `naming_file` adds the file's name."""
+_AGAIN = "write the log again from its source"
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def open_file(path: str | Path, most: int | None = None) -> Iterator[int]:
         if not stat.S_ISREG(found.st_mode):
             raise LogError("is not a regular file", str(path), "name a file on a disk")
         if found.st_size > most:
-            raise LogError(f"{found.st_size} bytes", str(path), f"at most {most} bytes are read")
+            raise LogError(f"{found.st_size} bytes are too many", str(path), f"at most {most} bytes are read")
         if not found.st_size:
             raise LogError("the file is empty", str(path), "record or download it again")
         yield descriptor
@@ -99,7 +100,7 @@ def of_file(path: str | Path, data: bytes, kind: str) -> dict[str, Any]:
 
 
 def to_json(log: FlightLog) -> str:
-    """Return a log's provenance as a file keeps it: the file that was read becomes the last entry of `history`.
+    """Return a log's provenance as JSON for a new file: the file that was read becomes the last entry of `history`.
 
     Raises LogError for a provenance that JSON cannot hold.
     """
@@ -127,15 +128,15 @@ def from_json(text: str, where: str) -> dict[str, Any]:
     try:
         kept = json.loads(text)
     except (ValueError, RecursionError) as reason:
-        raise LogError(f"the provenance kept in the file is not JSON: {reason}", where) from reason
+        raise LogError(f"the provenance kept in the file is not JSON: {reason}", where, _AGAIN) from reason
     if not isinstance(kept, dict) or not isinstance(kept.get("history", []), list):
-        raise LogError("the provenance kept in the file is not a table of entries", where)
+        raise LogError("the provenance kept in the file is not a table of entries", where, _AGAIN)
     level: list[Any] = [kept]
     for _ in range(MAX_DEPTH):
         level = [list(one.values()) if isinstance(one, dict) else one for one in level]
         level = [inner for one in level if isinstance(one, list) for inner in one]
     if level:
-        raise LogError(f"the provenance kept in the file is nested over {MAX_DEPTH} deep", where)
+        raise LogError(f"the provenance kept in the file is nested over {MAX_DEPTH} deep", where, _AGAIN)
     return kept
 
 

@@ -32,10 +32,10 @@ _ESTIMATION = (
 
 @dataclass(frozen=True)
 class PublicLog:
-    """One published log: our name for it, its address and its checksum.
+    """One published log: its name in twodof, its address and its checksum.
 
-    `gains` names the gains it was flown with. A simulation is compared with it in `window` [s, on the log's axis] by
-    the channels `compared`.
+    `gains` names the gains that flew. Simulations are compared with the channels `compared` of the log in `window` [s],
+    a start and an end on the log's time axis.
     """
 
     name: str
@@ -119,7 +119,7 @@ def find(name: str, deadline_s: float = 60.0) -> Path:
     """
     row = PUBLIC_LOGS.get(name.removesuffix(".mat"))
     if row is None:
-        raise LogError("no such public log", name, f"there are: {', '.join(PUBLIC_LOGS)}")
+        raise LogError("no such public log", name, f"choose one of {', '.join(PUBLIC_LOGS)}")
     return _at_hand(row) or download(row, cache_folder(), deadline_s)
 
 

@@ -42,7 +42,7 @@ class _Slot:
 
 
 class Recorder(AppendOnlyFile):
-    """Recorder of samples of topics into a new MCAP file, for `with`.
+    """Recorder of samples of topics into a new MCAP file, as a context manager.
 
     `topics`: names of TOPICS (`imu.gyro`), rows of TOPICS, or streams that you describe. `provenance` holds JSON values
     (seed, parameters, versions, ...), `attachments` files such as the diagram. Both reach the disk before the first
@@ -67,7 +67,7 @@ class Recorder(AppendOnlyFile):
     ) -> None:
         streams = named(topics)
         if not streams or any(stream.stamped for stream in streams.values()):
-            raise LogError("no topic, or one that carries stamps in seconds", str(path), "name topics to record")
+            raise LogError("no topic, or one with stamps in seconds", str(path), "name topics to record")
         note = kept_json(dict(provenance or {}), str(path))
         self._slots = {name: _Slot(k, stream) for k, (name, stream) in enumerate(streams.items())}
         self._encoder = McapEncoder(list(streams.values()))
@@ -77,15 +77,15 @@ class Recorder(AppendOnlyFile):
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Return the counts of samples dropped because of a slow disk, by topic; topics without any are left out."""
+        """Number of samples that were dropped because of a slow disk, by topic, for topics that lost any."""
         with self._changed:
             return {name: slot.dropped for name, slot in self._slots.items() if slot.dropped}
 
     def write(self, topic: str, time_ns: int, values: float | Sequence[float]) -> bool:
-        """Take a sample, `values` a number or one for each field in the topic's unit; return False if it was dropped.
+        """Record a sample at `time_ns`, a time of flight from 0 to 2^63 - 1; return False if it was dropped.
 
-        `time_ns` is the flight's time, 0 <= time_ns < 2^63. Raises LogError for an unknown topic or values that do
-        not fit it, RecordingError once the recording has ended.
+        `values` is a number, or one for each field, in the topic's unit. Raises LogError for an unknown topic or values
+        that do not fit it, RecordingError once the recording has ended.
         """
         slot = self._slot(topic)
         try:
@@ -94,7 +94,7 @@ class Recorder(AppendOnlyFile):
         except (TypeError, ValueError, OverflowError) as reason:
             raise self._misfit(topic, f"{shown(values)} at {shown(time_ns)}: {reason}") from reason
         if len(row) != slot.width or not 0 <= stamp <= _LATEST_NS:
-            raise self._misfit(topic, f"{len(row)} values at {shown(stamp)} ns, {slot.width} belong there")
+            raise self._misfit(topic, f"{len(row)} values at {shown(stamp)} ns, the topic has {slot.width}")
         with self._changed:
             if not self._admit(slot.bytes):
                 slot.dropped += 1
@@ -105,9 +105,9 @@ class Recorder(AppendOnlyFile):
         return True
 
     def write_many(self, topic: str, time_ns: ArrayLike, values: ArrayLike) -> bool:
-        """Take `values` (n,) or (n, k) at the times `time_ns` (n,), all or none; return False if they were dropped.
+        """Record `values` (n,) or (n, k) at the times `time_ns` (n,), all or none; return False if they were dropped.
 
-        Raises as `write` does.
+        Raises the errors of `write`.
         """
         slot = self._slot(topic)
         times, rows = np.asarray(time_ns), np.asarray(values)
@@ -127,7 +127,7 @@ class Recorder(AppendOnlyFile):
         return True
 
     def note(self, name: str, value: object) -> None:
-        """Keep a JSON value that is known at the end only, in the log's provenance under `name`.
+        """Add a JSON value that is known only at the end to the log's provenance under `name`.
 
         It is written after the last sample, so a recording that is cut off lacks it. Raises LogError for a value that
         JSON cannot hold.

@@ -20,10 +20,10 @@ _NEEDED = {".mcap": "twodof.flightlog.mcap_file", ".ulg": "twodof.flightlog.ulog
 
 @dataclass(frozen=True)
 class Recovered:
-    """Result of a recovery: the `log`, its `samples`, the `lost_bytes`, and what was wrong, in words.
+    """Result of a recovery: the `log`, its number of `samples`, the `lost_bytes`, and the damage in words, `what`.
 
-    `unverified` names what is in `log` although no checksum vouches for it; it is part of `what`. `file` is the
-    complete MCAP file of a recovered MCAP file.
+    `unverified`, which is part of `what`, names the content of `log` that no checksum confirms. `file` has the bytes of
+    a complete MCAP file if an MCAP file was recovered.
     """
 
     log: FlightLog
@@ -34,7 +34,7 @@ class Recovered:
     file: bytes = b""
 
     def write(self, path: str | Path, overwrite: bool = False) -> None:
-        """Write a complete MCAP file, atomically. Raises LogError, also if it is there."""
+        """Write the recovered log as a complete MCAP file, atomically. Raises LogError, also if the file exists."""
         check_free(path, overwrite)
         if not self.file:
             write_mcap(self.log, path)
@@ -44,13 +44,12 @@ class Recovered:
 
 
 def recover(path: str | Path) -> Recovered:
-    """Read an .mcap or .ulg file as far as it is sound; of an MCAP file, parts with a checksum only if that holds.
+    """Recover the sound parts of an .mcap or .ulg file; parts of an MCAP file with a wrong checksum are left out.
 
     Everything that a Recorder or ULogWriter has acknowledged is in the result, even if later bytes were cut off or
-    written over. Parts that had to be taken unverified are named in `unverified` and in the provenance (`recovered`).
-    These are topics with a damaged description, all logs of PX4, and tables and descriptions of earlier versions. The
-    last two lack checksums. A table whose checksum is wrong is kept apart, in provenance["unverified"].
-    Raises LogError for a file in which no sample can be read: that is never a success.
+    written over. Parts without a checksum are named in `unverified` and in the provenance (`recovered`): topics with a
+    damaged description, all logs of PX4, and tables and descriptions of earlier versions. A table with a wrong checksum
+    is kept apart, in provenance["unverified"]. Raises LogError for a file in which no sample can be read.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _NEEDED:
@@ -74,7 +73,8 @@ def _salvaged(data: bytes, where: str, suffix: str) -> fence.Answer:
         log = to_log(contents, file, where)
         ignored, unverified = contents.ignored, contents.unverified
     if not any(map(len, log.channels.values())):
-        raise LogError("no sample can be read in it", where, "nothing was acknowledged, or the file is another's")
+        remedy = "nothing was acknowledged, or another program wrote the file: record the flight again"
+        raise LogError("no sample can be read in it", where, remedy)
     what = [] if found.finished else ["the recording was not closed"]
     what += [f"{loss.size} bytes at byte {loss.at}: {loss.why}" if loss.size else loss.why for loss in found.lost]
     what += [f"{count} messages of {name} are left out: not a topic of ours" for name, count in ignored.items()]

@@ -67,7 +67,7 @@ class OpenLoopMessages:
 def step_channels(
     tick: NDArray[np.int64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]
 ) -> dict[str, Channel]:
-    """Return the channels of the steps whose signals (n,) are `out`. `tick` (n,) rises; ticks may be missing.
+    """Return the log channels of the steps whose signals (n,) are `out`. `tick` (n,) rises; ticks may be missing.
 
     `out` holds:
     - measurements: acc_x, acc_z, gyro_y, dist, dist_new, voltage, charge; if known acc_y, gyro_x, gyro_z;

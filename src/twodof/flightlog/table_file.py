@@ -152,7 +152,7 @@ def _described(meta: bytes | None, where: str) -> tuple[dict[str, dict[str, Any]
         return {}, {}
     head = provenance.from_json(meta.decode("utf-8", "replace"), where)
     if head.get("version") != _VERSION:
-        raise LogError(f"is of layout version {head.get('version')!r}, not {_VERSION}", where, "use a newer twodof")
+        raise LogError(f"has the layout version {head.get('version')!r}, not {_VERSION}", where, "use a newer twodof")
     match head:
         case {"channels": list(rows), "provenance": dict(kept)} if all(map(_is_row, rows)):
             return {row["name"]: row for row in rows}, kept
@@ -177,7 +177,7 @@ def _check_names(names: Sequence[str], where: str) -> None:
     if len(names) > MAX_COLUMNS:
         raise LogError(f"more than {MAX_COLUMNS} columns", where, "this is not a flight log")
     if len(set(names)) != len(names):
-        raise LogError(f"two columns have one name: {', '.join(names)[:200]}", where, "rename one")
+        raise LogError(f"two columns have one name: {', '.join(names)[:200]}", where, "rename one of them")
 
 
 def _long_table(log: FlightLog) -> pa.Table:
@@ -285,7 +285,7 @@ def _channels_of_wide(
         columns = row.get("columns", [])
         missing = [column for column in columns if column not in table.column_names]
         if missing or not columns:
-            raise LogError(f"column {missing[:1] or name} is missing", where, "write it again")
+            raise LogError(f"column {[*missing, name][0]!r} is missing", where, "write the table again")
         found[name] = _channel(table, columns, time, (row["unit"], tuple(row["fields"])), f"{where}: {name}")
         taken.update(columns)
     for column in table.column_names:
@@ -293,10 +293,10 @@ def _channels_of_wide(
         if column in taken or not name:
             continue
         if name in found:
-            raise LogError(f"two columns are called {name!r}", where, "rename one")
+            raise LogError(f"two columns are called {name!r}", where, "rename one of them")
         found[name] = _channel(table, [column], time, (unit or unit_of(name), ()), f"{where}: {name}")
     if not found:
-        raise LogError("no column beside 'time'", where, "give a column per channel")
+        raise LogError("there is no column beside that of the time", where, "give a column for each channel")
     return found
 
 
@@ -309,7 +309,7 @@ def _channel(
 ) -> Channel:
     there = np.asarray(table.column(columns[0]).is_valid())
     if any(not np.array_equal(there, np.asarray(table.column(column).is_valid())) for column in columns[1:]):
-        raise LogError("its fields are not all there in each row", where, "fill the empty cells of a row, or all")
+        raise LogError("a row has only some of its fields", where, "fill all its fields in the row, or leave all empty")
     values = [_numbers(table, column, where, nulls=True)[there] for column in columns]
     unit, fields = unit_and_fields
     return Channel(time[there], np.column_stack(values), unit, fields, where)
@@ -329,4 +329,5 @@ def _numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> N
     try:
         return np.asarray(pc.cast(cells, pa.float64()).to_numpy(), dtype=np.float64)
     except pa.ArrowException as reason:
-        raise LogError(f"column {column!r} is not of numbers: {reason!s:.200}", where) from reason
+        what = f"column {column!r} holds something other than numbers: {reason!s:.200}"
+        raise LogError(what, where, "remove the column, or write numbers only") from reason

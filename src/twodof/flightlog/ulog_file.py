@@ -50,9 +50,9 @@ Columns = Mapping[str, NDArray[Any]]
 class ULogContents:
     """Contents of a ULog file.
 
-    `topics` are columns by name and instance. `parameters` are those at the start; `changes` (time of the last record
-    before it [us], name, value) later ones. `texts` are (level, time [us], text). `dropouts_ms` are the times that the
-    logger could not write. `lost` lists the damaged parts.
+    `topics` are columns by name and instance. `parameters` are those at the start, `changes` the later changes (time of
+    the last record before [us], name, value). `texts` are (level, time [us], text). `dropouts_ms` are the times for
+    which the logger could not write. `lost` lists the damaged parts.
     """
 
     start_us: int = 0
@@ -96,7 +96,7 @@ def scan_ulog(data: bytes, where: str, salvage: bool = False) -> ULogContents:
     if data[: len(MAGIC)] != MAGIC or len(data) < HEADER.size:
         raise LogError("is no ULog file", where, "give a log of PX4 or of the virtual flight controller")
     if data[len(MAGIC)] > 1:
-        raise LogError(f"is of ULog version {data[len(MAGIC)]}", where, "version 1 is read")
+        raise LogError(f"has the ULog version {data[len(MAGIC)]}", where, "give a log of version 1")
     found = ULogContents()
     sound = bytearray(data[: HEADER.size])
     for start, end in _stretches(data, where, salvage, found):
@@ -210,7 +210,7 @@ def _values(columns: Columns, fields: Sequence[str]) -> NDArray[np.float64]:
 
 
 def ulog_to_log(found: ULogContents, file: dict[str, Any], where: str) -> FlightLog:
-    """Return the channels of a log. Raises LogError if none of its topics becomes one."""
+    """Return the flight log in the contents of a ULog file. Raises LogError if no topic becomes a channel."""
     channels: dict[str, Channel] = {}
     counts: dict[str, dict[str, int]] = {}
     used = set()
@@ -315,17 +315,18 @@ def _plain(value: Any) -> Any:
 
 
 def write_ulg(log: FlightLog, path: str | Path) -> tuple[str, ...]:
-    """Write a log into a new ULog file and return the names of the channels that are left out, not being in TOPICS.
+    """Write a log into a new ULog file; return the names of the channels left out because they are not in TOPICS.
 
-    Stamps are rounded to microseconds. Texts and the parameters at the start go with it. Raises LogError for a log
+    Stamps are rounded to microseconds. Texts and the parameters at the start are written too. Raises LogError for a log
     without a signal of TOPICS, for a time before 0 and for a file that exists, RecordingError when the disk refuses.
     """
     topics = {name: BY_MAT[name] for name in log if name in BY_MAT and len(log[name])}
     if not topics:
-        raise LogError("none of its channels is a signal of ours", log.source, "write .mcap, .mat or .parquet")
+        raise LogError("no channel is a signal of twodof", log.source, "write .mcap, .mat or .parquet")
     start, end = log.span
     if start < 0.0 or end * 1e6 >= _LAST_US:
-        raise LogError(f"it reaches from {start:g} to {end:g} s", log.source, "ULog counts microseconds from 0")
+        what = f"times from {start:g} to {end:g} s are out of range"
+        raise LogError(what, log.source, "shift the time: ULog counts microseconds from 0")
     formats = dict(topic_format(topic) for topic in topics.values())
     parameters = _parameters(log.provenance)
     with ULogWriter(path, formats, {"sys_uuid": "exported"}, parameters, round(1e6 * start), full="wait") as writer:

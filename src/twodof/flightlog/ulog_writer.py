@@ -42,19 +42,20 @@ LEVELS: Mapping[str, int] = {"error": 3, "warning": 4, "info": 6, "debug": 7}
 
 
 def topic_format(topic: Topic) -> tuple[str, str]:
-    """Return name and description of the records of a signal of TOPICS, in the precision in which it is computed."""
+    """Return name and format of the records of a signal of TOPICS, with double for each of its numbers."""
     names = topic.fields or ("value",)
     return topic.name.replace(".", "_"), "uint64_t timestamp;" + "".join(f"double {name};" for name in names)
 
 
 class ULogWriter(AppendOnlyFile):
-    """Writer of records into a new ULog file, for `with`.
+    """Writer of records into a new ULog file, as a context manager.
 
     `formats` describes each topic's records by name, such as `uint64_t timestamp;float[3] xyz;`: basic types,
     `timestamp` [us] first. By default there is one for each signal of TOPICS that the flight controller has. `info`
-    holds texts and whole numbers; `parameters` int for PX4's int32, float for its float. `full`, `capacity_bytes` and
-    `flush_s` are AppendOnlyFile's; the time over which records were dropped is logged as a dropout. Raises LogError for
-    values that ULog cannot hold and for a file that exists, RecordingError when the disk refuses.
+    holds texts and whole numbers; `parameters` has an int for an int32 parameter of PX4, a float for a float one.
+    `full`, `capacity_bytes` and `flush_s` are those of AppendOnlyFile; the time over which records were dropped is
+    logged as a dropout. Raises LogError for values that ULog cannot hold and for a file that exists, RecordingError
+    when the disk refuses.
     """
 
     def __init__(
@@ -91,9 +92,10 @@ class ULogWriter(AppendOnlyFile):
         self._start(head + added + MARK)
 
     def write(self, name: str, timestamp_us: int, values: Sequence[float]) -> bool:
-        """Take a record, one number for each element after `timestamp`; return False if it was dropped.
+        """Write a record of the topic `name`; return False if it was dropped.
 
-        Raises LogError for a name without a format or values that do not fit it, RecordingError after a failure.
+        `values` has one number for each element after `timestamp`. Raises LogError for a topic without a format or
+        values that do not fit it, RecordingError after a failure.
         """
         self.layout(name)
         number, packing = self._records[name]
@@ -104,14 +106,15 @@ class ULogWriter(AppendOnlyFile):
     def layout(self, name: str) -> np.dtype[np.void]:
         """Return numpy's layout of the records of the topic `name`. Raises LogError for a topic without a format."""
         if name not in self._layouts:
-            raise LogError(f"no topic {shown(name)}", self._where, "describe it when the log is opened")
+            raise LogError(f"no topic {shown(name)}", self._where, "give ULogWriter a format for it")
         return self._layouts[name]
 
     def write_many(self, name: str, rows: NDArray[np.void]) -> bool:
-        """Take records (n,) of `layout(name)`, all or none; return False if they were dropped. Raises as `write`."""
+        """Write records (n,) of `layout(name)`, all or none; return False if they were dropped. Raises as `write`."""
         layout = self.layout(name)
         if rows.dtype != layout or rows.ndim != 1:
-            raise LogError(f"records of {rows.dtype}, shape {rows.shape}", f"{self._where}: {name}", "see layout()")
+            what = f"records of {rows.dtype}, shape {rows.shape}, do not fit the topic"
+            raise LogError(what, f"{self._where}: {name}", "give an array (n,) with the dtype layout(name)")
         if not len(rows):
             return True
         whole: NDArray[Any] = np.empty(
@@ -173,22 +176,23 @@ class ULogWriter(AppendOnlyFile):
 
 
 def record_layout(name: str, description: str, where: str) -> np.dtype[np.void]:
-    """Return the layout of records described as `uint64_t timestamp;float[3] xyz;`. Raises LogError."""
+    """Return numpy's layout of records with a format such as `uint64_t timestamp;float[3] xyz;`. Raises LogError."""
     _named(name, where)
     fields: list[Any] = []
     for part in filter(None, description.split(";")):
         match = _FIELD.fullmatch(part.strip())
         if match is None:
-            what = f"no field of a format: {shown(part)}"
+            what = f"{shown(part)} is not a field of a format"
             raise LogError(what, f"{where}: {name}", "give a type, such as uint8_t or float[3], and a name")
         kind = _KINDS.get(match[1], match[1].removesuffix("_t"))
         fields.append((match[3], kind, (int(match[2]),) if match[2] else ()))
     if not fields or fields[0] != ("timestamp", "uint64", ()):
-        raise LogError(f"format {description[:80]!r}", f"{where}: {name}", "begin with uint64_t timestamp")
+        what = f"the format {description[:80]!r} does not begin with a time stamp"
+        raise LogError(what, f"{where}: {name}", "begin it with uint64_t timestamp")
     try:
         layout = np.dtype(fields)
     except ValueError as reason:
-        raise LogError(f"a format names a field twice: {reason}", f"{where}: {name}", "rename one") from reason
+        raise LogError(f"a format names a field twice: {reason}", f"{where}: {name}", "rename one field") from reason
     if layout.itemsize > MAX_RECORD:
         raise LogError(
             f"a record has {layout.itemsize} bytes", f"{where}: {name}", f"at most {MAX_RECORD} are possible"
@@ -238,9 +242,9 @@ _FIRST_RECORDS = frozenset(b"DLO")
 
 
 class ULogFragment(NamedTuple):
-    """Bytes of a log; `first` is the place of the first message that begins in them, or NO_MESSAGE.
+    """Bytes of a log that fit into one LOGGING_DATA; `first` is the index of the first message in them, or NO_MESSAGE.
 
-    `described` marks the parts before the first record, without which nothing can be read.
+    `described` marks the bytes before the first record, without which nothing can be read.
     """
 
     data: bytes
@@ -249,7 +253,7 @@ class ULogFragment(NamedTuple):
 
 
 class ULogFragments:
-    """Cutter of a file's bytes into fragments; places count from the file's first byte."""
+    """Cutter of a ULog's bytes into fragments for LOGGING_DATA, as the file grows."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
@@ -275,7 +279,7 @@ class ULogFragments:
             self._next += MESSAGE.size + length
 
     def next(self) -> ULogFragment | None:
-        """Return the next fragment, None while there is none; the first record begins one."""
+        """Return the next fragment, None while there is none; the first record begins a new fragment."""
         at = self._given
         end = min(at + MOST, at + len(self._bytes), self._next)
         described = self._records is None or at < self._records

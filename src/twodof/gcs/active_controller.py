@@ -29,7 +29,7 @@ class ActiveController:
     Attributes:
         parameters: values that differ from their defaults, by name
         diagrams: the user's controllers, JSON by template
-        known: False if the drone does not tell
+        known: False if the drone does not publish them, as a plain PX4
         values: all parameters by name
         paths: places in the diagrams of the parameters of the user's controllers, by name
     """
@@ -41,7 +41,7 @@ class ActiveController:
     paths: Mapping[str, str] = field(default_factory=dict)
 
     def provenance(self) -> dict[str, Any]:
-        """Return what a log needs for a replay: `parameters`, and `controllers` by template; {} if unknown.
+        """Return provenance that a replay of a log needs: `parameters`, `controllers` by template; {} if unknown.
 
         A controller has its name, its diagram, the SHA-256 of the diagram's JSON, and all its parameters by path.
         """
@@ -74,8 +74,8 @@ class ParameterChanges:
         self._values = dict(before.values)
         self._paths = before.paths
 
-    def told(self, time: float, got: Any) -> None:
-        """Add a PARAM_VALUE that came at the drone's `time` [s]."""
+    def add(self, time: float, got: Any) -> None:
+        """Add a PARAM_VALUE that came at the drone's `time` [s], if its value is new."""
         name, value = str(got.param_id), entry_of(got).value
         if name in _ALSO:
             return

@@ -31,14 +31,17 @@ def load(file: Path) -> Main:
     try:
         found = runpy.run_path(str(file), run_name="twodof_app").get("main")
     except OSError as error:
-        raise TwodofError(f"cannot be read: {error.strerror}") from error
+        raise TwodofError(f"cannot be read: {error.strerror}", remedy="check the name and the rights") from error
     if not inspect.iscoroutinefunction(found):
-        raise TwodofError("has no `async def main(drone)`")
+        raise TwodofError("has no `async def main(drone)`", remedy="define it: it is called with the connected drone")
     return cast(Main, found)
 
 
 async def fly(main: Main, url: str, timeout: float, system: int | None, key: Path | None) -> None:
-    """Connect, run `main`, leave; SIGTERM and SIGINT cancel it. `system` None is the drone's own."""
+    """Connect to the drone, run `main`, and leave the drone disarmed; SIGTERM and SIGINT cancel `main`.
+
+    `system` None is the drone's own MAVLink system id.
+    """
     task = asyncio.current_task()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -55,7 +58,7 @@ def run(arguments: Sequence[str]) -> int:
     parser.add_argument("file", type=Path, metavar="FILE", help="with `async def main(drone)`")
     parser.add_argument("--url", required=True, help="where the drone is, or its companion")
     parser.add_argument("--timeout", type=float, default=30.0, help="how long to look for the drone [s]")
-    parser.add_argument("--system", type=int, help="MAVLink system to be; the drone's own if it is left out")
+    parser.add_argument("--system", type=int, help="MAVLink system id of the program [default: the drone's own]")
     parser.add_argument("--key", type=Path, help="file of a signing key")
     given = parser.parse_args(list(arguments))
     try:

@@ -1,4 +1,4 @@
-"""Arming, disarming and the kill of one drone; each is seen in the drone's heartbeat."""
+"""Arming, disarming and the kill of one drone, each confirmed by the drone's heartbeat."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from twodof.gcs.setpoints import SetpointStream
 
 _RETRY_S = 0.05
 _LAST_WORDS = 3
-"""Copies of the last order to disarm, where leaving is cancelled: no time is left to see whether one arrives."""
+"""Copies of the last order to disarm if leaving is cancelled: no time is left to wait for a confirmation."""
 _FORCE = 21196
 
 
 class DroneArming:
-    """Arms, disarms and kills one drone.
+    """Arming, disarming and the kill of one drone.
 
-    `may_be_armed` is True from the first order to arm until the drone is seen to be disarmed.
+    `may_be_armed` is True from the first order to arm until a heartbeat confirms that the drone is disarmed.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class DroneArming:
         self.may_be_armed = False
 
     async def arm(self, timeout: float) -> None:
-        """Arm the drone and see that it is armed. Raises Rejected, LinkLost, Timeout."""
+        """Arm the drone and wait for a heartbeat that confirms it. Raises Rejected, LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, "arming")
         self._session.check(self._session.now)
         self.may_be_armed = True
@@ -46,7 +46,7 @@ class DroneArming:
         await self._watcher.see(lambda state: state.armed, deadline)
 
     async def disarm(self, timeout: float) -> None:
-        """Disarm the drone and see that it is disarmed; stop the set-points. Raises Rejected, LinkLost, Timeout."""
+        """Stop the set-points, disarm the drone and wait for its confirmation. Raises Rejected, LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, "disarming")
         self._setpoints.stop()
         await self._commands.run("COMPONENT_ARM_DISARM", [0.0], timeout, deadline.doing)
@@ -54,20 +54,20 @@ class DroneArming:
         self.may_be_armed = False
 
     async def kill(self, timeout: float) -> None:
-        """Stop the motors and repeat the order until that is seen. Raises Timeout, LinkLost."""
+        """Stop the motors; repeat the order until a heartbeat confirms it. Raises Timeout, LinkLost."""
         await self._insist(_FORCE, self._session.deadline(timeout, "killing"))
 
     async def release(self, timeout: float) -> None:
-        """End a kill and see that it has ended. Raises Rejected, LinkLost, Timeout."""
+        """End a kill and wait for a heartbeat that confirms it. Raises Rejected, LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, "releasing a kill")
         await self._commands.run("DO_FLIGHTTERMINATION", [0.0], timeout, deadline.doing)
         await self._watcher.see(lambda state: not state.killed, deadline)
 
     async def leave(self, timeout: float) -> None:
-        """Leave the drone disarmed. Raises Timeout, LinkLost where that is not seen.
+        """Leave the drone disarmed. Raises Timeout, LinkLost if no heartbeat confirms it.
 
-        The order is repeated although the link seems lost, since a silent drone may still hear. A drone of ours is
-        always disarmed by the ordinary command; another's PX4 in flight only by a kill.
+        The order is repeated although the link seems lost, since a silent drone may still hear. A twodof drone is
+        always disarmed by the ordinary command; a plain PX4 in flight only by a kill.
         """
         if not (self._watcher.state.armed or self.may_be_armed):
             return
@@ -85,10 +85,10 @@ class DroneArming:
             raise
 
     async def _insist(self, force: float, deadline: Deadline) -> None:
-        """Repeat the order to disarm until the drone is seen disarmed, on a lost link too. Raises Timeout, LinkLost.
+        """Repeat the order to disarm until a heartbeat confirms it, on a lost link too. Raises Timeout, LinkLost.
 
-        A drone of ours must show in its heartbeat that a kill holds: a heartbeat of a disarmed drone may have been sent
-        before the kill came.
+        The heartbeat of a twodof drone must show that a kill holds: that of a disarmed drone may have been sent before
+        the kill came.
         """
         session, watcher, attempt, acknowledged = self._session, self._watcher, 0, False
         self._setpoints.stop()

@@ -130,7 +130,7 @@ class AsyncDrone(DroneView):
         drone: int | None = None,
         component: int = GROUND_STATION,
     ) -> Self:
-        """Connect over an open transport, which is closed with the drone or if connecting fails. As `connect`."""
+        """Connect, as `connect` does, over an open transport. It is closed with the drone or if connecting fails."""
         deadline = Deadline(timeout, "connecting", transport.url)
         session: DroneSession | None = None
         made: Self | None = None
@@ -164,11 +164,11 @@ class AsyncDrone(DroneView):
         wait: bool = True,
         timeout: float = TIMEOUT_S,
     ) -> ExcitationPlayback:
-        """Play an excitation on board, added to what `loop` ("M", "q", "theta", "v", "x") follows.
+        """Play an excitation on board, added to the set-point of `loop` ("q", "theta", "v", "x") or the moment ("M").
 
-        `loop` None is that of the excitation's unit; `thrust` 0 to 1, None: as it is; `at` is the tick at which it
-        starts, None: at once. With `wait` the drone's time passes until it is over. Raises ExperimentError for a loop
-        of another unit, Rejected with the drone's reason.
+        `loop` None stands for the loop with the excitation's unit. `thrust` is 0 to 1, None leaves it unchanged. `at`
+        is the tick at which the excitation starts, None: at once. With `wait` the call lets the drone's time pass until
+        the excitation is over. Raises ExperimentError for a loop of another unit, Rejected with the drone's reason.
         """
         self._needs_ours("excitations on board", "TWODOF_EXCITE")
         if not isinstance(excitation, Excitation):
@@ -179,7 +179,7 @@ class AsyncDrone(DroneView):
         return await self.exciter.finish(playback) if wait else playback
 
     async def stop_excitation(self, timeout: float = TIMEOUT_S) -> None:
-        """Stop what plays, and see that it is over; the set-point before it is held. Raises Rejected."""
+        """Stop the excitation and wait until it is over; the drone holds the set-point before it. Raises Rejected."""
         self._needs_ours("excitations on board", "TWODOF_EXCITE")
         await self.exciter.stop(timeout)
 
@@ -199,8 +199,8 @@ class AsyncDrone(DroneView):
         """
         self._needs_ours("the rig's true state", "TWODOF_TRUTH")
         if self.session.on_board or not self.state.rig.virtual:
-            why = "what is on board never gets it" if self.session.on_board else "nobody knows that of a real one"
-            raise Rejected(f"the rig's true state: {why}", self.session.where, "go by the estimates")
+            why = "is never sent to a program on board" if self.session.on_board else "is unknown for a real drone"
+            raise Rejected(f"the rig's true state {why}", self.session.where, "use the estimates")
         return self.rig_truth.rows(TruthRows())
 
     async def active_controller(self, timeout: float = TIMEOUT_S) -> ActiveController:
@@ -208,9 +208,9 @@ class AsyncDrone(DroneView):
 
         Raises LinkLost, Timeout.
         """
-        self._needs_ours("what flies", "folder of controllers")
+        self._needs_ours("reading the active controller", "folder of controllers")
         return await read_active_controller(
-            self.parameters, self.files, self.session.deadline(timeout, "asking what flies")
+            self.parameters, self.files, self.session.deadline(timeout, "reading the active controller")
         )
 
     def record(
@@ -227,19 +227,20 @@ class AsyncDrone(DroneView):
 
         The file also holds the tuned parameters and, as attachments, the diagrams of the user's controllers.
 
-        Messages of another's PX4 are recorded as they come; `stream` asks for more of them.
+        Messages of a plain PX4 are recorded as they come; `stream` asks for more of them.
         """
         if Path(path).suffix.lower() != ".mcap":
-            raise LogError("a recording is an MCAP file", str(path), "call it .mcap; write_log makes others of it")
+            raise LogError("a recording is an MCAP file", str(path), "name it .mcap; `twodof log convert` converts it")
         flying = self.active_controller if self.ours else None
         return record(self, path, topics, provenance or {}, flying, overwrite)
 
     async def reset(
         self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False, timeout: float = TIMEOUT_S
     ) -> None:
-        """Restart a virtual drone: tick 0, at rest at `x` [m], `rings` locked or not, the noise of `seed` scaled.
+        """Restart a virtual drone at tick 0, at rest at `x` [m], with `rings` locked or not.
 
-        Raises Rejected for a real drone, while armed, or with the drone's reason.
+        `seed` is that of its sensors' noise, `noise` scales it. Raises Rejected for a real drone, while the drone is
+        armed, or with the drone's reason.
         """
         self._needs_ours("a reset", "TWODOF_RIG_RESET")
         deadline = self.session.deadline(timeout, "resetting the rig")
@@ -260,7 +261,7 @@ class AsyncDrone(DroneView):
                 said = await self.commands.words(spoken, deadline)
                 code = self.commands.refusals.get("TWODOF_RIG_RESET", RefusalReason.OTHER)
                 armed = self.state.armed or code is RefusalReason.ARMED
-                remedy = "disarm it first" if armed else "put right what it says; a real rig has no reset"
+                remedy = "disarm it first" if armed else "remove this cause and try again; a real rig has no reset"
                 raise Rejected(said or "the rig is not reset", deadline.where, remedy, code)
             self.clock.restart()
         self.telemetry.clear()
@@ -272,20 +273,21 @@ class AsyncDrone(DroneView):
         timeout: float = 120.0,
         said: Callable[[str, float], None] | None = None,
     ) -> None:
-        """Send a controller, a diagram's JSON, and fly it in a sandbox instead of the one of that template.
+        """Send a controller, the JSON of its `diagram`, and fly it in a sandbox in place of that of `template`.
 
-        The stock controller's own diagram restores the stock one. Raises Rejected if the drone is armed, cannot build
-        controllers, or finds a fault in the diagram; then the controller before flies on. `said` gets what is done and
-        the share done. The call can be cancelled until `said` gets `BUILDS`: then the drone goes on by itself.
+        The stock controller's diagram restores the stock one. Raises Rejected if the drone is armed, cannot build
+        controllers, or finds a fault in the diagram; the controller before then stays active. `said` is called with the
+        current step and the share done. The call can be cancelled until `said` gets `BUILDS`: from then on the drone
+        goes on by itself.
         """
         tell = said or (lambda text, share: None)
-        self._needs_ours("controllers of one's own", "folder of controllers")
+        self._needs_ours("flying a controller of your own", "folder of controllers")
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
         deadline = self.session.deadline(timeout, "sending a controller")
         self.session.check(self.session.now)  # the last state of a lost drone says nothing
         if self.state.armed:
-            raise Rejected("it is armed", deadline.where, "disarm it first")
+            raise Rejected("the drone is armed", deadline.where, "disarm it first")
         tell("asks the drone", 0.0)
         await self.commands.run("USER_1", [1.0], deadline.left, "asking whether it can build controllers")
         sending = partial(_sending, tell)
@@ -295,59 +297,60 @@ class AsyncDrone(DroneView):
         self.parameters.forget()
 
     async def stream(self, name: str, rate: float, timeout: float = TIMEOUT_S) -> None:
-        """Set the rate [Hz] of a message such as "ACTUATOR_CONTROL_TARGET"; 0: its default, < 0: never."""
+        """Request the message `name`, such as "ACTUATOR_CONTROL_TARGET", at `rate` [Hz]; 0: its default, < 0: never."""
         interval = 1e6 / rate if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
         values = [dialect.message_id(name), interval]
         if name.startswith("TWODOF_"):
-            self._needs_ours("a message of our own", name)
+            self._needs_ours("a message of twodof", name)
         await self.commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"setting the rate of {name}")
 
     async def version(self, timeout: float = TIMEOUT_S) -> DroneVersion:
-        """Return autopilot, version of its program, and the machine's number.
+        """Return the kind and version of the drone's program, and the number of its computer.
 
-        Raises Rejected if the drone does not tell, LinkLost, Timeout.
+        Raises Rejected if the drone does not report them, LinkLost, Timeout.
         """
         deadline = self.session.deadline(timeout, "asking for its version")
         got = await self.commands.request("AUTOPILOT_VERSION", deadline)
         if got is None:
-            raise Rejected("it does not tell its version", deadline.where, "look at its state for what it is")
+            what = "the drone does not report its version"
+            raise Rejected(what, deadline.where, "see `state.autopilot` for its kind")
         return version_of(got, self.state.autopilot)
 
     async def arm(self, timeout: float = TIMEOUT_S) -> None:
-        """Arm it, and see that it is. Raises Rejected with what speaks against it."""
+        """Arm the drone and wait until it confirms that. Raises Rejected with the reason against it."""
         await self.arming.arm(timeout)
 
     async def disarm(self, timeout: float = TIMEOUT_S) -> None:
-        """Disarm it, and see that it is; set-points are sent no more. Needs no lease."""
+        """Stop the set-points, disarm the drone and wait until it confirms that. Needs no lease."""
         self._last_thrust = None
         await self.arming.disarm(timeout)
 
     async def kill(self, timeout: float = TIMEOUT_S) -> None:
-        """Stop the motors now, in any state and without the lease; repeat the order until that is seen.
+        """Stop the motors now, in any state and without the lease; repeat the order until the drone confirms it.
 
-        It holds the drone disarmed until `release`. Raises Timeout, LinkLost if it is not seen: the drone's own
-        failsafe then acts on the lost link.
+        The kill keeps the drone disarmed until `release`. Raises Timeout, LinkLost if the drone does not confirm it:
+        the drone's own failsafe then acts on the lost link.
         """
         await self.arming.kill(timeout)
 
     async def release(self, timeout: float = TIMEOUT_S) -> None:
-        """Let it be armed again after a kill by any client. Raises Rejected if another client has the lease."""
+        """Allow arming again after a kill by any client. Raises Rejected if another client has the lease."""
         await self.arming.release(timeout)
 
     async def set_mode(self, mode: str, timeout: float = TIMEOUT_S) -> None:
-        """Change the mode (manual, rate, attitude, position, hold, offboard), and see that it is changed."""
+        """Change the mode (manual, rate, attitude, position, hold, offboard) and wait until the drone confirms it."""
         deadline = self.session.deadline(timeout, f"changing to the mode {mode}")
         await self.setpoints.switch(mode, deadline)
-        offboard = "offboard wants set-points: set_pitch and the like enter it by themselves"
+        offboard = "offboard needs set-points: set_pitch and the like enter it by themselves"
         await self.watcher.see(lambda state: state.mode == mode, deadline, offboard if mode == "offboard" else "")
 
     async def level_hold(self, timeout: float = TIMEOUT_S) -> None:
-        """Let it hold itself level, at the thrust THRUST_BAR; needs no set-points."""
+        """Let the drone hold itself level at the thrust THRUST_BAR, without set-points."""
         await self.set_mode("hold", timeout)
         self.setpoints.stop()
 
     async def set_moment(self, M: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
-        """Fly a normalised pitch moment (-1 to 1) about the trim, no loop closed; `thrust` 0 to 1, None: as it is."""
+        """Fly a normalised pitch moment (-1 to 1) about the trim in open loop; `thrust` 0 to 1, None: unchanged."""
         setpoint = setpoints.moment(M, thrust)
         self._needs_ours("a moment without a loop", "TWODOF_OPENLOOP")
         await self._follow(setpoint, timeout)
@@ -383,28 +386,30 @@ class AsyncDrone(DroneView):
         await self.lease.withhold_tuning(withhold, timeout)
 
     async def run(self, seconds: float) -> None:
-        """Let the drone's time pass.
+        """Let `seconds` of the drone's time pass.
 
-        Raises ParameterError for a time that is negative or infinite, LinkLost, Timeout if its time stands still,
-        Rejected if a kill ends a flight.
+        Raises ParameterError for a time that is negative or infinite, LinkLost, Timeout if the drone's time stands
+        still, Rejected if a kill ends a flight.
         """
         if not 0.0 <= seconds < inf:
             raise ParameterError(f"run({shown(seconds)}): time passes forwards", "drone", "give 0 or more seconds")
         await self.run_until(self.tick + ceil(max(0.0, seconds / TICK_S - 1e-9)))
 
     async def run_until(self, tick: int) -> None:
-        """Let the drone's time pass up to a tick, which is the first not run. Raises as `run`."""
+        """Let the drone's time pass up to `tick`, which is not run yet. Raises as `run`."""
         await self.setpoints.pass_time(tick)
 
     async def wait_until(self, condition: Callable[[], bool], timeout: float) -> None:
-        """Let the drone's time pass until `condition()`, asked each 20 ms of it; Timeout after `timeout` [s] of it.
+        """Let the drone's time pass until `condition()` is true; it is called every 20 ms of the drone's time.
 
-        If its time stands still, Timeout comes after as much of this computer's time, but not before 2 s and not after
-        5 s. `condition` looks at values that have come, and asks the drone nothing.
+        Raises Timeout after `timeout` [s] of the drone's time. If that stands still, Timeout comes after as much of
+        this computer's time, but not before 2 s and not after 5 s. `condition` reads values that have come, and asks
+        the drone nothing.
         """
         await self.setpoints.pass_time(self.tick + ceil(timeout / TICK_S), condition, patience=timeout)
         if not condition():
-            raise Timeout(f"the condition did not come within {timeout:g} s", self.session.where)
+            what = f"the condition did not become true within {timeout:g} s"
+            raise Timeout(what, self.session.where, "check the condition, or allow more time")
 
     async def __aenter__(self) -> Self:
         return self
@@ -417,7 +422,10 @@ class AsyncDrone(DroneView):
                 raise
 
     async def close(self, timeout: float = LEAVING_S) -> None:
-        """Disarm it if this client commands, give the lease up, close the link. Raises if it is not seen disarmed."""
+        """Disarm the drone if this client commands it, give up the lease and close the link.
+
+        Raises Timeout, LinkLost if the drone does not confirm that it is disarmed.
+        """
         if self._closed:
             return
         self._closed = True
@@ -444,14 +452,14 @@ class AsyncDrone(DroneView):
         if self._last_thrust is not None:
             return self._last_thrust
         if not self.ours:
-            raise ParameterError("nothing says which thrust lets it hover", "set-point", "give thrust=")
+            raise ParameterError("the thrust for hovering is unknown on this drone", "set-point", "give thrust=")
         return await self.parameters.read(HOVER, deadline.left)
 
     def _needs_ours(self, what: str, name: str) -> None:
-        """Raise Rejected at once if the drone, another's PX4, does not know the message `name`."""
+        """Raise Rejected at once if the drone is a plain PX4, which does not know the message `name`."""
         if not self.ours:
             self.session.must_stand()
-            missing = f"{what}: it is not one of ours but {self.state.autopilot}, which has no {name}"
+            missing = f"{what}: this is no twodof drone but {self.state.autopilot}, which has no {name}"
             remedy = "docs/how-to/connect-clients.md says what works there"
             raise Rejected(missing, self.session.where, remedy)
 
@@ -468,7 +476,7 @@ class AsyncDrone(DroneView):
             self.session.send_anyway(self.commands.request_of("TWODOF_RIG"))
 
     def _stood_still(self, pause: ProgramPaused) -> None:
-        """End the session if this program stood still in flight: the drone's failsafe has acted meanwhile."""
+        """End the session after a pause of this program in flight: the drone's failsafe has acted meanwhile."""
         if self.session.lockstep:  # the drone's time stood still too
             return
         what = f"this program stood still for {pause.seconds:.1f} s"
@@ -478,7 +486,7 @@ class AsyncDrone(DroneView):
             self.session.end(LinkLost(what, self.session.url, "connect again"))
 
     async def _greet(self, deadline: Deadline, drawn_id: bool) -> None:
-        """Find out whether the drone is one of ours and how its time passes; take the lease if commanding.
+        """Find out whether this is a twodof drone and how its time passes; take the lease if commanding.
 
         `drawn_id`: this client's system id was drawn, so another one may be drawn. Raises LinkLost, Rejected, Timeout.
         """
@@ -488,7 +496,7 @@ class AsyncDrone(DroneView):
         except Timeout:  # another's PX4 does not know the question; a drone with a key lets only signed frames in
             signed = session.signed_frames
             if signed and session.connection.signing is None:
-                what = f"drone {session.system} answers nothing: {signed} frames came signed, and we have no key"
+                what = f"drone {session.system} does not answer: its {signed} frames are signed, and we have no key"
                 raise LinkLost(what, session.url, "connect with its key: key=FILE") from None
         if self.ours and drawn_id:
             await self._draw_another_id(deadline)

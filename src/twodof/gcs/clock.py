@@ -48,7 +48,7 @@ class SliceStarts(NamedTuple):
 
 
 class DroneClock:
-    """Clock of the drone in ticks of 4 ms; `tick` is the newest heard, in lockstep the first that has not been run."""
+    """Clock of the drone in ticks of 4 ms; `tick` is the last one heard, in lockstep the next one to be run."""
 
     def __init__(self, session: DroneSession) -> None:
         self._session = session
@@ -64,7 +64,7 @@ class DroneClock:
         session.on(self._ticked, *_TICKED)
 
     async def begin_granting(self, timeout: float) -> None:
-        """Start granting time: ask how far the drone's time has come. Raises LinkLost, Timeout."""
+        """Start granting time in lockstep, from the drone's present tick on. Raises LinkLost, Timeout."""
         self.granting = True
         deadline = self._session.deadline(timeout, "asking how far its time has come")
         # A tick long past grants nothing; 0 might be a tick to come, just before ticks wrap.
@@ -99,10 +99,10 @@ class DroneClock:
         within: Deadline | None = None,
         patience: float | None = None,
     ) -> None:
-        """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
+        """Let the drone's time pass up to `tick`, which is not run yet, or until `done()`, called each 20 ms of it.
 
         Raises LinkLost, and Rejected if another client grants the time. Raises Timeout if time stands still, after
-        `patience` [s] of real time but not before SOONEST_S, or at the deadline `within` of the calling verb.
+        `patience` [s] of real time but not before SOONEST_S, or at the deadline `within` of the calling method.
         """
         most = inf if patience is None else max(SOONEST_S, patience)
         if not self.granting:
@@ -145,7 +145,7 @@ class DroneClock:
                 # Measured when the drone is heard: a silent drone is lost instead.
                 if session.heard_at - moved > still or session.heard_at > end:
                     raise Timeout(
-                        f"the drone's time does not pass as ours does: it is at tick {self.tick}",
+                        f"the drone's time stands still or is too slow: it is at tick {self.tick}",
                         session.where,
                         "no message with its time comes: subscribe to ATTITUDE, or look at the link",
                     )
@@ -194,5 +194,5 @@ class DroneClock:
             return None
         come = self.meant(got.tick)
         if come < least:
-            raise Rejected("it does not let its time run", deadline.where, "see who has the lease")
+            raise Rejected("the drone does not let its time run", deadline.where, "see who has the lease")
         return come

@@ -40,8 +40,9 @@ class CommandSender:
     async def run(self, command: str, values: Sequence[float], timeout: float, doing: str) -> Any:
         """Send a command with up to seven `values` and return its COMMAND_ACK once it was accepted.
 
-        Without an answer it is sent again with a count, as MAVLink requires. "In progress" prolongs the waiting within
-        `timeout` [s]. Raises Rejected with the drone's reason, LinkLost, Timeout.
+        Without an answer it is sent again with a count, as MAVLink requires. After the answer "in progress" the call
+        waits on, within `timeout` [s]. `doing` describes the request in errors. Raises Rejected with the drone's
+        reason, LinkLost, Timeout.
         """
         deadline = self._session.deadline(timeout, doing)
         number = number_of(command)
@@ -114,9 +115,9 @@ class CommandSender:
         return Rejected(said or words_of("MAV_RESULT", got.result), where, _REMEDIES.get(got.result, ""), code)
 
     async def words(self, spoken: int, deadline: Deadline) -> str:
-        """Return the drone's lines after the first `spoken`, waiting a moment for them; "" if none come.
+        """Return the drone's lines of text after the first `spoken`, after a moment of waiting; "" if none come.
 
-        Another message in that moment ends the waiting. A drone that stands still sends neither, so it is waited for.
+        Another message in that moment ends the waiting.
         """
         session, before = self._session, self._session.taken
         until = min(deadline.end, session.now + WORDS_S)
@@ -133,7 +134,7 @@ class CommandSender:
 
 
 _REMEDIES = {
-    1: "put right what it says and try again",
+    1: "remove this cause and try again",
     3: "this drone's firmware has no such command",
-    10: "wait until they have finished, or watch without taking the lease",
+    10: "wait until the other client has finished, or watch without taking the lease",
 }

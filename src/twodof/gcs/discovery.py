@@ -35,7 +35,7 @@ SYSTEM = 241
 class FoundDrone(NamedTuple):
     """Drone that was heard: its system id, the URL to connect to, its state, its autopilot in words.
 
-    A drone of ours also tells the controller that flies, and how many parameters differ from their defaults.
+    A twodof drone also reports its active `controller` and how many parameters are `changed` from their defaults.
     """
 
     system: int
@@ -60,10 +60,10 @@ def urls(hosts: Iterable[str] = ()) -> list[str]:
 
 
 async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | None]:
-    """Open the transport of `url`; return it, and the error if it had to lead to another port.
+    """Open the transport of `url`; return it with None, or one to another port with the error of the first.
 
-    A drone sends to one UDP port of this machine, which one program can have. If another program has it, the drone is
-    called at the port where it listens; whether a drone is there is not known then. Raises as `open_transport`.
+    A drone sends to one UDP port of this machine, which only one program can have. If another program has it, the
+    returned transport sends to the port where the drone listens. Raises as `open_transport`.
     """
     try:
         return await open_transport(url, timeout), None

@@ -159,7 +159,7 @@ class DroneParameters(SyncFace, MutableMapping[str, float]):
         return len(self.all())
 
     def update(self, changes: Any = (), /, **more: float) -> None:
-        """Set several as `change`, with the arguments of dict.update."""
+        """Set several parameters as `change` does, with the arguments of dict.update."""
         self.change({**dict(changes), **more})
 
 
@@ -193,7 +193,7 @@ class DroneSignal(SyncFace):
         return self.there.value if self.latest is not None else self.next().value
 
     def on(self, callback: Callback) -> Callable[[], None]:
-        """Call `callback` with each sample, in the drone's thread, so quickly; return a function that ends that."""
+        """Call `callback`, which must be quick, with each sample in the drone's thread; return a function to end it."""
         return self.there.on(callback)
 
     @contextmanager
@@ -266,14 +266,14 @@ class Drone(DroneView, SyncFace):
         take_lease: bool = True,
         drone: int | None = None,
     ) -> Self:
-        """Find the drone at `url` and, with `take_lease`, take its lease. As AsyncDrone.connect."""
+        """Find the drone at `url` and, with `take_lease`, take its lease; arguments as in AsyncDrone.connect."""
         runner = LoopThread(url)
         try:
             there = runner.run(AsyncDrone.connect(url, timeout, system, key, take_lease, drone))
         except Rejected as refusal:
             runner.close()
             if any(other.has_lease(refusal) for other in cls._open):
-                remedy = "this program has it: close() the Drone that it has, or go on with that"
+                remedy = "another Drone of this program has it: close() that one, or go on with it"
                 raise Rejected(refusal.what, refusal.where, remedy, refusal.code) from refusal
             raise
         except BaseException:
@@ -314,7 +314,10 @@ class Drone(DroneView, SyncFace):
                 raise
 
     def close(self, timeout: float = LEAVING_S) -> None:
-        """Disarm it if this client commands, give the lease up, close the link. Raises if it is not seen disarmed."""
+        """Disarm the drone if this client commands it, give up the lease and close the link.
+
+        Raises Timeout, LinkLost if the drone does not confirm that it is disarmed.
+        """
         try:
             if self._runner.alive:
                 self._runner.run(self.there.close(timeout), finish=True)  # Ctrl-C must not keep it from disarming

@@ -35,7 +35,7 @@ class StatusText(NamedTuple):
 
 
 class StatusTexts:
-    """Last KEPT lines of text, the oldest first; each is an event of the session too."""
+    """Last KEPT lines of text, the oldest first. Each is emitted as an event of the session too."""
 
     def __init__(self, session: DroneSession) -> None:
         self.lines: deque[StatusText] = deque(maxlen=KEPT)
@@ -92,7 +92,7 @@ RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
 
 @dataclass(frozen=True)
 class SafetyState:
-    """State of the failsafe: its action since a tick, the deciding `reason`, and the causes it sees now.
+    """State of the failsafe: its `action` since the tick `since`, the deciding `reason`, and all present `causes`.
 
     `killed_by` is the system and component whose kill holds the drone; None without a kill or if it is unknown.
     """
@@ -105,7 +105,7 @@ class SafetyState:
     killed_by: tuple[int, int] | None = None
 
     def in_words(self) -> str:
-        """Return action and reason as the dialect explains them; "" without an action or a reason.
+        """Return action and reason as a sentence; "" without an action or a reason.
 
         An example: "descend (level, the thrust fades to 0, then off): nothing came over the link for a while".
         """
@@ -174,7 +174,7 @@ _STATUS = ("uninit", "boot", "calibrating", "standby", "active", "critical", "em
 
 
 class StateTracker:
-    """Latest `state` of one drone, and calls that wait for a state to be seen."""
+    """Tracker of the latest `state` of one drone, which can wait for a state."""
 
     def __init__(self, session: DroneSession, clock: DroneClock) -> None:
         self.state = DroneState()
@@ -188,22 +188,22 @@ class StateTracker:
         self._session = session
 
     async def see(self, condition: Callable[[DroneState], bool], deadline: Deadline, remedy: str = "") -> None:
-        """Wait until a heartbeat shows the condition; in lockstep grant tick after tick. Raises Timeout, LinkLost."""
+        """Wait until `condition` of the state holds; in lockstep grant tick after tick. Raises Timeout, LinkLost."""
         last = self._clock.tick + _TICKS_FOR_AN_ANSWER
         with self._session.listen("HEARTBEAT") as heard:
             while not condition(self.state):
                 if self._clock.granting and self._clock.tick < last:
                     await self._clock.one_tick(deadline)
                 elif await heard.next(deadline.end) is None:
-                    raise deadline.error(remedy or "it acknowledged, but its heartbeat says otherwise")
+                    raise deadline.error(remedy or "it acknowledged, but its heartbeat disagrees: read its messages")
 
     def check_not_killed(self) -> None:
-        """Raise Rejected if a kill holds the drone: it would take set-points and fly none."""
+        """Raise Rejected if a kill holds the drone: it would accept set-points and fly none."""
         if self.state.killed:
             by = self.state.safety.killed_by
             who = f" by system {by[0]}, component {by[1]}" if by is not None else ""
             where = self._session.where
-            raise Rejected(f"it was killed{who}", where, "see why, then drone.release(), and arm it again")
+            raise Rejected(f"the drone was killed{who}", where, "see why, then drone.release(), and arm it again")
 
     def _change(self, **changes: Any) -> None:
         self.state = DroneState(**{**vars(self.state), **changes})
@@ -247,7 +247,7 @@ class StateTracker:
 
 
 def names_of(enum: str, mask: int) -> tuple[str, ...]:
-    """Return the bits of a mask in the words of the dialect's enumeration; the number of an unknown bit."""
+    """Return the names of the bits of a mask in the dialect's enumeration; an unknown bit gives its number."""
     return tuple(word_of(enum, bit) for k in range(32) if mask & (bit := 1 << k))
 
 
@@ -299,7 +299,7 @@ class DroneVersion(NamedTuple):
 
 
 def version_of(got: Any, autopilot: str) -> DroneVersion:
-    """Return an AUTOPILOT_VERSION in words."""
+    """Return the version in an AUTOPILOT_VERSION of an `autopilot`."""
     custom = bytes(got.flight_custom_version)
     ours = custom.startswith(_OUR_BUILD)
     # PX4 sends up to sixteen digits of its commit, the last byte first.

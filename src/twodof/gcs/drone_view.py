@@ -11,7 +11,7 @@ from twodof.link.statistics import LinkStatistics
 
 
 class DroneView:
-    """Everything that has been heard of one drone; `telemetry(name)` gives a signal.
+    """Latest data from one drone; `telemetry(name)` gives a signal.
 
     An estimate raises LinkLost if no newer one will come, and Timeout if none has come: `Drone` waits a while for the
     first one, `AsyncDrone` does not.
@@ -29,22 +29,22 @@ class DroneView:
 
     @property
     def ours(self) -> bool:
-        """True for a drone of this package, False for another's PX4."""
+        """True for a twodof drone, False for a plain PX4."""
         return self.session.ours
 
     @property
     def state(self) -> DroneState:
-        """Its state as last heard: mode, armed, failsafe, rig, battery."""
+        """State of the drone as last heard: mode, armed, failsafe, rig, battery."""
         return self.watcher.state
 
     @property
     def tick(self) -> int:
-        """Its control period, 4 ms each; in lockstep the first that has not been run."""
+        """The drone's time as a number of control periods of 4 ms; in lockstep the next one to be run."""
         return self.clock.tick
 
     @property
     def messages(self) -> list[StatusText]:
-        """The last 1000 lines of its STATUSTEXT."""
+        """The last 1000 lines of text (STATUSTEXT) from the drone."""
         return list(self.texts.lines)
 
     @property

@@ -15,7 +15,7 @@ from twodof.link.mavlink.messages import excite, message
 from twodof.signals import TICK_S
 
 LOOPS = ("M", "q", "theta", "v", "x")
-"""Excited loop by TWODOF_LOOP; the loops below it are closed."""
+"""Loops that an excitation can enter, in the order of TWODOF_LOOP; the loops inside it are closed."""
 UNITS = ("-", "rad/s", "rad", "m/s", "m")
 _READY, _REFUSED = 2, 6
 _STATES = {3: "playing", 4: "done", 5: "stopped", _REFUSED: "stopped"}
@@ -28,7 +28,7 @@ _LATE_TICKS = 500
 
 @dataclass
 class ExcitationPlayback:
-    """Excitation on board from `start_tick` to `end_tick` (the first after it), its `state` and why it stopped."""
+    """Excitation on board from `start_tick` up to, not including, `end_tick`; `reason` says why it stopped."""
 
     transfer: int
     start_tick: int
@@ -99,9 +99,9 @@ class ExcitationPlayer:
         return playback
 
     async def stop(self, timeout: float) -> None:
-        """Stop the excitation and see that it is over; its base is held. Raises Rejected, LinkLost, Timeout.
+        """Stop the excitation and wait until it is over; its base is held. Raises Rejected, LinkLost, Timeout.
 
-        The order is repeated until that is seen. For an excitation of another client it is sent once.
+        The order is repeated until the drone confirms it. For an excitation of another client it is sent once.
         """
         session, playback = self._session, self.playback
         deadline = session.deadline(timeout, "stopping the excitation")
@@ -147,11 +147,11 @@ class ExcitationPlayer:
 
 
 def loop_number(excitation: Excitation, loop: str | None) -> int:
-    """Return the TWODOF_LOOP of "M", "q", "theta", "v" or "x"; None is that of the unit. Raises ExperimentError."""
+    """Return the TWODOF_LOOP of `loop` in LOOPS, None: that of the excitation's unit. Raises ExperimentError."""
     if loop is None:
         return UNITS.index(excitation.unit)
     if loop not in LOOPS:
-        raise ExperimentError(f"no loop {shown(loop)}", "excite", f"there are {listed(LOOPS)}")
+        raise ExperimentError(f"no loop {shown(loop)}", "excite", f"choose one of {listed(LOOPS)}")
     unit = UNITS[LOOPS.index(loop)]
     if excitation.unit != unit:
         raise ExperimentError(
@@ -161,4 +161,4 @@ def loop_number(excitation: Excitation, loop: str | None) -> int:
 
 
 def _refusal(got: Any, where: str) -> Rejected:
-    return Rejected(str(got.reason) or "the drone does not play it", where, "put right what it says")
+    return Rejected(str(got.reason) or "the drone does not play it", where, "remove this cause and try again")

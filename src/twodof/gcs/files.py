@@ -40,7 +40,7 @@ class AsyncFiles:
     async def write(
         self, path: str, content: bytes, timeout: float = 60.0, sent: Callable[[float], None] | None = None
     ) -> None:
-        """Write the file `path`, whole or not at all; `sent` gets the share that has arrived.
+        """Write the file `path`, whole or not at all; `sent` is called with the share that has arrived.
 
         A call that is cancelled before the share is 1 leaves the file as it was.
         """
@@ -62,7 +62,8 @@ class AsyncFiles:
         content = bytearray()
         with self._ending(opened.session):
             if size > LARGEST:
-                raise Rejected(f"{size} bytes", deadline.where, f"{LARGEST} are read at most")
+                what = f"{path} has {size} bytes"
+                raise Rejected(what, deadline.where, f"at most {LARGEST} bytes are read")
             while len(content) < size:
                 part = await self._ask(FtpOperation.READ, deadline, opened.session, len(content), wanted=MOST_DATA)
                 if not part.size:
@@ -117,7 +118,7 @@ class AsyncFiles:
         said = "; ".join(line.text for line in self._texts.reasons_since(spoken)[-3:])
         if code == FtpError.END:
             said = ""  # the end of a folder is no refusal
-        raise Rejected(said or _words(code), f"{deadline.where}, {deadline.doing}", "see what the drone says")
+        raise Rejected(said or _words(code), f"{deadline.where}, {deadline.doing}", "read the drone's messages")
 
     @contextmanager
     def _ending(self, number: int) -> Iterator[None]:
@@ -192,7 +193,7 @@ class AsyncLogs:
         progress: Callable[[int, int], None] | None = None,
         overwrite: bool = False,
     ) -> Path:
-        """Download a log into `path`, whole or not at all; `progress(bytes, of)` is called on the way.
+        """Download a log into `path`, whole or not at all; `progress` is called with the bytes so far and of all.
 
         Raises LogError for an existing file and for a log that is empty or too large, Timeout if nothing comes for 5 s,
         LinkLost.
@@ -200,8 +201,8 @@ class AsyncLogs:
         check_free(path, overwrite)
         where = f"{self._session.where}, log {entry.number}"
         if not 0 < entry.size <= LARGEST:
-            raise LogError(f"{entry.size} bytes", where, f"1 to {LARGEST} bytes are brought down")
-        data = await self._bytes(entry, Deadline(timeout, "bringing a log down", where), progress)
+            raise LogError(f"{entry.size} bytes", where, f"1 to {LARGEST} bytes can be downloaded")
+        data = await self._bytes(entry, Deadline(timeout, "downloading a log", where), progress)
         with atomic_write(path) as file:
             file.write(data)
         return Path(path)

@@ -32,7 +32,7 @@ Kind = TypeVar("Kind", np.float32, np.float64)
 class SampleRows(Generic[Kind]):
     """Rows of `columns`, readable from any thread: `ticks` (n,) uint32 rising, `values` (n, columns) of type `kind`.
 
-    All rows are kept: those of all channels take 50 MB an hour. `lost` counts the rows missing between the first and
+    All rows are kept in memory: 50 MB an hour for all channels. `lost` counts the rows missing between the first and
     the last.
     """
 
@@ -63,7 +63,7 @@ class SampleRows(Generic[Kind]):
 
     @property
     def lost(self) -> int:
-        """Number of missing rows."""
+        """Number of rows missing between the first and the last."""
         ticks = self.ticks
         return int(ticks[-1]) - int(ticks[0]) + 1 - len(ticks) if len(ticks) else 0
 

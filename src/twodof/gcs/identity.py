@@ -58,7 +58,7 @@ def _claim(system: int) -> bool:
 def identity(system: int | None, on_board: bool, key: Key | str | Path | None) -> tuple[int, Signing | None]:
     """Return a client's system id and its signing; id 0 stands for the drone's own, which is not known yet.
 
-    With a key's file, an id is preferred that has time stamps there and that no other process uses. Raises LinkError.
+    With a key's file, an id is preferred that has time stamps beside it and is free. Raises LinkError.
     """
     if system is not None or on_board or key is None or isinstance(key, Key):
         number = (0 if on_board else drawn()) if system is None else system

@@ -1,6 +1,6 @@
 """Client of the command lease: taken once, renewed while the session lives, given up at its end.
 
-Each renewal tells whether other clients may change parameters.
+Each renewal says whether other clients may change parameters.
 """
 
 import asyncio
@@ -47,8 +47,8 @@ class LeaseClient:
     async def take(self, timeout: float) -> float:
         """Take the lease and keep it; return the time [s] of waiting for another client's lease to end.
 
-        A lease that is not renewed, perhaps of a script that was killed, is waited for. Raises Rejected as soon as its
-        holder renews it, or if it ends too late; LinkLost, Timeout.
+        A lease whose holder does not renew it, such as a killed script, ends within seconds: the call waits for that.
+        Raises Rejected as soon as the holder renews it, or if it ends too late; LinkLost, Timeout.
         """
         deadline = self._session.deadline(timeout, "asking for the lease")
         began, before, ends = self._session.now, None, 0.0
@@ -97,7 +97,7 @@ class LeaseClient:
         """
         deadline = self._session.deadline(timeout, "withholding tuning")
         if not self.wanted:
-            raise Rejected("we do not hold the lease", deadline.where, "connect with take_lease=True")
+            raise Rejected("this client does not hold the lease", deadline.where, "connect with take_lease=True")
 
         def answered(got: Any) -> bool | None:
             granted = self._granted(got)

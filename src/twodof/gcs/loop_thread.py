@@ -18,7 +18,7 @@ CLOSING_S = 5.0
 
 
 class LoopThread:
-    """Thread that runs coroutines and hands their results back; `where` is for errors."""
+    """Thread with an event loop that runs coroutines and returns their results; `where` is for errors."""
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -29,7 +29,7 @@ class LoopThread:
 
     @property
     def alive(self) -> bool:
-        """True while it takes work."""
+        """True while the thread accepts work."""
         return self._thread.is_alive() and not self._loop.is_closed()
 
     def run(self, work: Coroutine[Any, Any, T], finish: bool = False) -> T:
@@ -37,7 +37,7 @@ class LoopThread:
         if not self.alive or threading.current_thread() is self._thread:
             work.close()
             if self.alive:
-                raise RuntimeError("a callback cannot wait for the drone: set something that the script sees")
+                raise RuntimeError("a callback cannot wait for the drone: set a variable that the script looks at")
             raise LinkLost("the drone was closed", self._where, "connect again")
         ended = threading.Event()
         tasks: list[asyncio.Task[T]] = []

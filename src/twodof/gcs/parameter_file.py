@@ -46,11 +46,11 @@ class ParameterFile:
         Raises ParameterError with the number of a wrong line. Lines of other components are left out.
         """
         if len(content) > MAX_BYTES:
-            raise ParameterError(f"it has more than {MAX_BYTES >> 10} KiB", where, "give a .params file")
+            raise ParameterError(f"the file has more than {MAX_BYTES >> 10} KiB", where, "give a .params file")
         try:
             text = content if isinstance(content, str) else content.decode()
         except UnicodeDecodeError as reason:
-            raise ParameterError("it is not text", where, "give a .params file of QGroundControl") from reason
+            raise ParameterError("the file is not text", where, "give a .params file of QGroundControl") from reason
         values: dict[str, float] = {}
         kinds: dict[str, int] = {}
         about: dict[str, str] = {}
@@ -68,9 +68,9 @@ class ParameterFile:
                         raise ParameterError(f"{name} is given twice", f"{where}, line {number}", "leave one out")
                     values[name], kinds[name] = value, kind
                 if len(values) > MOST:
-                    raise ParameterError(f"it has more than {MOST} parameters", where, "give one drone's file")
+                    raise ParameterError(f"the file has more than {MOST} parameters", where, "give one drone's file")
         if not values:
-            raise ParameterError("it holds no parameter", where, "give a .params file of QGroundControl")
+            raise ParameterError("the file has no parameter", where, "give a .params file of QGroundControl")
         return cls(values, kinds, system, component or 1, about)
 
     def text(self) -> str:
@@ -84,9 +84,9 @@ class ParameterFile:
         return "\n".join(lines) + "\n"
 
     def against(self, known: Mapping[str, ParameterEntry]) -> tuple[dict[str, float], tuple[str, ...]]:
-        """Compare with a drone's parameters `known`; return the file's differing values, and the missing names.
+        """Compare with a drone's parameters `known`; return the file's differing values, and names the drone lacks.
 
-        A parameter that the drone has under two names, ours and the real drone's, is returned once, under ours.
+        A parameter that the drone has under two names, twodof's and the real drone's, is returned once, under twodof's.
         """
         missing = tuple(name for name in self.values if name not in known)
         changes = {
@@ -110,7 +110,8 @@ def _row(line: str, where: str) -> tuple[int, int, str, float, int]:
     except ValueError as reason:
         raise ParameterError(f"{shown(line)} is not a parameter", where, f"a line has: {_HEAD}") from reason
     if not (0 <= numbers[0] <= 255 and 0 <= numbers[1] <= 255 and numbers[2] in _TYPES):
-        raise ParameterError(f"{shown(line)} has an id or a type that cannot be", where, f"a line has: {_HEAD}")
+        raise ParameterError(f"{shown(line)} has an id or a type out of range", where, f"a line has: {_HEAD}")
     if not (name.isascii() and name.isprintable() and 1 <= len(name) <= 16 and isfinite(value)):
-        raise ParameterError(f"{shown(line)} has a name or a value that cannot be", where, "names have 16 characters")
+        remedy = "give a name of 1 to 16 ASCII characters, and a finite value"
+        raise ParameterError(f"{shown(line)} has an invalid name or value", where, remedy)
     return numbers[0], numbers[1], name, value, numbers[2]

@@ -43,7 +43,7 @@ class ParameterDescription(Parameter):
 
 
 class ParameterEntry(NamedTuple):
-    """Parameter as the drone told it: `kind` is a MAV_PARAM_TYPE, `described` its description if it was read."""
+    """Parameter as the drone sent it: its MAV_PARAM_TYPE, its index, and its description if that was read."""
 
     name: str
     value: float
@@ -53,7 +53,7 @@ class ParameterEntry(NamedTuple):
 
     @property
     def row(self) -> Parameter | None:
-        """Bounds, unit and text: the drone's description, else the package's row, else None."""
+        """Bounds, unit and text: from the drone's description, else from `twodof.parameters`, else None."""
         return self.described or BY_NAME.get(self.name)
 
     def to_json(self) -> dict[str, Any]:
@@ -101,15 +101,15 @@ def checked(entry: ParameterEntry, value: float) -> float:
     """Return `value` if the parameter can have it. Raises ParameterError."""
     row = entry.row
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ParameterError(f"{shown(value)} is not a number", entry.name, "nothing was changed")
+        raise ParameterError(f"{shown(value)} is not a number", entry.name, "give a finite one; nothing was changed")
     if entry.kind not in (INT32, REAL32):
-        raise ParameterError(f"has the type {entry.kind}, which is not set from here", entry.name)
+        what = f"has the MAV_PARAM_TYPE {entry.kind}, which cannot be set from here"
+        raise ParameterError(what, entry.name, "set it with another ground station")
     if entry.kind == INT32 and (value != int(value) or not -(2**31) <= value < 2**31):
-        raise ParameterError(f"{value:g} is not an int32", entry.name, "nothing was changed")
+        raise ParameterError(f"{value:g} is not an int32", entry.name, "give a whole number; nothing was changed")
     if row is not None and not row.low <= value <= row.high:
-        raise ParameterError(
-            f"{value:g} is outside {row.low:g} to {row.high:g} {row.unit}", entry.name, "nothing was changed"
-        )
+        what = f"{value:g} is outside {row.low:g} to {row.high:g} {row.unit}"
+        raise ParameterError(what, entry.name, "give a value within; nothing was changed")
     return value
 
 
@@ -121,7 +121,7 @@ def _decimal(value: float) -> float:
 HASH = "_HASH_CHECK"
 TIMEOUT_S = 5.0
 SILENCE_S = 1.0
-"""Another's PX4 does not answer for an unknown name: after this time [s] its list is read."""
+"""A plain PX4 does not answer for an unknown name: after this time [s] its list is read."""
 DESCRIPTION = "/etc/extras/parameters.json"
 BEGIN, COMMIT, ROLL_BACK = range(3)
 UNDO_STEPS = 50
@@ -140,7 +140,7 @@ class AsyncParameters:
     """Parameters of one drone by its own names or the package's; `known` are the entries heard so far.
 
     Parameters of a user's controller also have their paths as names: `attitude_control.k_q`. The known entries are
-    forgotten when the drone's list changes, as other controllers fly.
+    forgotten when the drone's list changes because of another controller.
     """
 
     def __init__(self, session: DroneSession, files: AsyncFiles, texts: StatusTexts) -> None:
@@ -170,16 +170,16 @@ class AsyncParameters:
         return (await self._ask(await self._on_board(name, deadline), deadline)).value
 
     async def set(self, name: str, value: float, timeout: float = TIMEOUT_S) -> None:
-        """Set one parameter and see that it is set. Raises as `update`."""
+        """Set one parameter and wait until the drone confirms it. Raises as `update`."""
         await self.update({name: value}, timeout)
 
     async def update(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> SentChange:
-        """Set several, all or none. Return the values before and after.
+        """Set several parameters, all or none. Return the values before and after.
 
         Raises ParameterError for a value out of bounds, Rejected, LinkLost, Timeout.
 
-        A drone of ours takes them in one transaction, at one tick. On another's PX4 earlier ones are set back if a
-        later one is refused. Several calls at once run one after the other.
+        A twodof drone changes them in one transaction, at one tick. On a plain PX4 earlier ones are set back if a later
+        one is refused. Several calls at once run one after the other.
         """
         if not changes:
             return SentChange({}, {})
@@ -213,13 +213,13 @@ class AsyncParameters:
         """The last change by this client that is not undone. Raises Rejected if there is none."""
         if not self._made:
             where = self._session.where
-            raise Rejected("nothing was changed here that could be undone", where, "set the values themselves")
+            raise Rejected("this client has made no change that could be undone", where, "set the values yourself")
         return self._made[-1]
 
     async def undo(self, timeout: float = TIMEOUT_S) -> SentChange:
         """Undo the last change by this client. Return the values before and after.
 
-        Raises Rejected if there is none, or if another client has changed the same since; LinkLost, Timeout.
+        Raises Rejected if there is none, or if another client has changed these parameters since; LinkLost, Timeout.
         """
         self._session.check(self._session.now)
         made = self.last
@@ -228,7 +228,7 @@ class AsyncParameters:
             now = {name: (await self._ask(await self._on_board(name, deadline), deadline)).value for name in made.after}
             if since := [name for name, value in made.after.items() if now[name] != value]:
                 what = f"{listed(since)} changed since then"
-                raise Rejected(what, self._session.where, "set the values themselves")
+                raise Rejected(what, self._session.where, "set the values yourself")
             undone = await self._update(made.before, deadline)
         if made in self._made:
             self._made.remove(made)
@@ -241,7 +241,7 @@ class AsyncParameters:
     async def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
         """Read the drone's description of every parameter, by the drone's names: bounds, unit, text.
 
-        Raises Rejected without a description, as on another's PX4; LinkLost, Timeout.
+        Raises Rejected if the drone has no description, as a plain PX4; LinkLost, Timeout.
         """
         await self._describe(self._session.deadline(timeout, "asking for the description of the parameters"))
         return dict(self._described)
@@ -295,13 +295,14 @@ class AsyncParameters:
 
     async def _describe(self, deadline: Deadline) -> None:
         if not self._session.ours:
-            raise Rejected("it describes no parameters to us: it is not one of ours", deadline.where, "list them")
+            what = "this is no twodof drone and has no description of its parameters"
+            raise Rejected(what, deadline.where, "list them instead: parameters.all()")
         content = await self._files.read(DESCRIPTION, deadline.left)
         try:
             rows = read_description(content)
         except (ValueError, LookupError, TypeError, RecursionError, ParameterError) as damage:
             raise Rejected(
-                f"its description of its parameters is none: {damage}", deadline.where, "list them"
+                f"the drone's description of its parameters cannot be read: {damage}", deadline.where, "list them"
             ) from damage
         self._described = {row.name: row for row in rows}
         self._paths = {row.path: row.name for row in rows if row.path}
@@ -335,7 +336,8 @@ class AsyncParameters:
             if got.param_id != entry.name:
                 return None
             if np.float32(entry_of(got).value) != np.float32(value):
-                raise Rejected(f"{entry.name} is {entry_of(got).value:g} and not {value:g}", self._session.where)
+                what = f"{entry.name} is {entry_of(got).value:g} and not {value:g}"
+                raise Rejected(what, self._session.where, "read the drone's messages, then set it again")
             return True
 
         asked = self._set_message(entry, value)
@@ -368,7 +370,7 @@ class AsyncParameters:
                 raise Rejected(
                     self._why(got.param_id or "the change", got.result),
                     f"{self._session.where}, {deadline.doing}",
-                    "nothing was changed",
+                    "remove this cause and try again; nothing was changed",
                 )
             return not got.result
 
@@ -384,7 +386,7 @@ class AsyncParameters:
     async def _on_board(self, name: str, deadline: Deadline) -> str:
         """Return the drone's name; read the description for an unknown path. Raises ParameterError."""
         if not isinstance(name, str):
-            raise ParameterError(f"{shown(name)} is not a name", "parameters")
+            raise ParameterError(f"{shown(name)} is not a name", "parameters", "give a parameter's name as text")
         if "." in name and self._session.ours and name not in self._paths:
             await self._describe(deadline)
             if name not in self._paths:
@@ -392,7 +394,7 @@ class AsyncParameters:
         return self.name_on_board(name)
 
     async def _ask(self, name: str, deadline: Deadline) -> ParameterEntry:
-        """Read one entry; if another's PX4 does not answer, look it up in its list."""
+        """Read one entry; if a plain PX4 does not answer, look it up in the drone's list."""
         if self._session.ours:
             return await self._ask_for(name, deadline)
         try:
@@ -405,7 +407,7 @@ class AsyncParameters:
                 await self._list(deadline)
         except Timeout:
             raise deadline.error(
-                "another's PX4 is silent about a name that it lacks: parameters.all() lists its names"
+                "a plain PX4 does not answer for a name that it lacks: parameters.all() lists its names"
             ) from None
         found = self.known.get(self.name_on_board(name))  # the list tells which of two names it has
         if found is None:
@@ -417,7 +419,7 @@ class AsyncParameters:
             raise ParameterError(
                 f"{shown(name)} is not a name of 1 to 16 ASCII characters",
                 "parameters",
-                "paths in a diagram are names on a drone of ours only" if "." in name else "parameters.all() lists all",
+                "paths in a diagram are names on a twodof drone only" if "." in name else "parameters.all() lists all",
             )
 
         def accept(got: Any) -> ParameterEntry | None:
@@ -434,7 +436,8 @@ class AsyncParameters:
             return
         if got.error == 1:
             raise self._unknown(name)
-        raise Rejected(self._why(name, got.error), self._session.where, "nothing was changed")
+        remedy = "remove this cause and try again; nothing was changed"
+        raise Rejected(self._why(name, got.error), self._session.where, remedy)
 
     def _why(self, name: str, error: int) -> str:
         """Return why a change is refused: the drone's last warning, else the words for the number."""

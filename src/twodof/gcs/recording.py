@@ -40,7 +40,7 @@ SAFETY = McapStream(
 )
 MOST_TEXTS = 1000
 TOGETHER = 32
-"""Rows handed to the writer together: an eighth of a second, which a crash loses besides."""
+"""Rows handed to the writer together: an eighth of a second, which a crash loses too."""
 MOST_TRUTHS = 1024
 """True states remembered to find copies: four seconds."""
 _EVENTS = "openloop"
@@ -54,7 +54,7 @@ _READ_LATER = ("x", "v")
 
 
 class Recording:
-    """Recording of a flight: `samples` taken, rows `lost` on the way, samples `dropped` by the disk."""
+    """Recording of a flight: `samples` recorded, rows `lost` on the link, samples `dropped` because of a slow disk."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Recording:
 
     @property
     def samples(self) -> int:
-        """Number of samples taken; samples that are not acknowledged yet are in memory."""
+        """Number of samples recorded; those that are not acknowledged yet are in memory."""
         return self.recorder.accepted
 
     @property
@@ -124,7 +124,7 @@ class Recording:
             self.write()
 
     def rig(self, got: Any) -> None:
-        """Take a TWODOF_RIG; after a restart further stamps continue those recorded before."""
+        """Handle a TWODOF_RIG: after a restart of the drone, let later stamps continue those recorded before."""
         if got.tick + OLDEST_TICKS <= self._newest:
             self.write()
             self._shift, self._newest, self._open = self._last + 1, got.tick, OpenLoopMessages()
@@ -185,7 +185,7 @@ class Recording:
         self._put(SAFETY.topic, stamps("", np.array([got.tick + self._shift], dtype=np.int64)), values)
 
     def truth(self, got: Any) -> None:
-        """Add a TWODOF_TRUTH; a copy is dropped."""
+        """Add a TWODOF_TRUTH, unless it is a copy."""
         since = min(got.time_usec, _LATEST_US) + self._shift * TICK_US
         if since in self._truths:
             return
@@ -197,7 +197,7 @@ class Recording:
             self._write_truth()
 
     def telemetry(self, decode: Callable[[Any], Decoded], got: Any) -> None:
-        """Add the samples of a message of `common`, from a drone without batches."""
+        """Add the samples of a message of MAVLink's `common` dialect, from a drone that sends no batches."""
         for name, time, value in decode(got):
             self._time = time if isfinite(time) else self._time  # the battery's messages have no stamp
             if name in self._names and self._time < _LATEST_S:
@@ -211,13 +211,13 @@ class Recording:
                 self.recorder.write_many(topic, times, values)
 
     def said(self, tick: int, line: StatusText) -> None:
-        """Add a line of text."""
+        """Add a line of text that the drone sent at `tick`."""
         if len(self.texts) < MOST_TEXTS:
             self.texts.append((self._seconds(tick), line.severity, line.text))
 
     def parameter(self, tick: int, got: Any) -> None:
         """Add a PARAM_VALUE, which the drone sends after each change."""
-        self._changes.told(self._seconds(tick), got)
+        self._changes.add(self._seconds(tick), got)
 
     def _seconds(self, tick: int) -> float:
         """Return the stamp [s] of a message that comes now; in lockstep samples are ahead of the clock."""
@@ -236,34 +236,35 @@ class Recording:
 
 
 def safety_row(got: Any) -> tuple[int, int, int]:
-    """Return a TWODOF_SAFETY as a row of the channel `safety`; the wire has the bit number of the deciding cause."""
+    """Return a TWODOF_SAFETY as a row of the channel `safety`: action, mask of the deciding cause, mask of causes."""
     return got.action, 1 << got.reason if 0 <= got.reason < 32 else 0, got.flags
 
 
 def seconds(tick: int) -> float:
-    """Return the stamp [s] of a tick, as the channels have it."""
+    """Return the time stamp [s] of a tick in a log."""
     return round(BOOT + TICK_S * tick, 6)
 
 
 def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the drone's time stamps [ns] of a channel's samples at these ticks, as its own logs have them."""
+    """Return the time stamps [ns] that the drone's own log gives to samples of the channel `mat` at these ticks."""
     published = ticks - (mat in _READ_LATER)
     return np.asarray(np.rint((BOOT + shift(mat) + TICK_S * published) * 1e9), dtype=np.int64)
 
 
 def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list[Topic]:
-    """Return the topics to record; None is all, with the `truth` if it is True. Raises LogError for an unknown one.
+    """Return the TOPICS to record; None is all, with the true state if `truth`. Raises LogError for an unknown one.
 
-    If the drone is not `ours`, only topics in messages of `common` exist.
+    If the drone is no twodof drone (`ours` False), only topics in messages of `common` exist.
     """
     if topics is None:
         return [row for row in TOPICS if (row.onboard or truth) and (ours or not row.mavlink.startswith("TWODOF_"))]
     rows = [topic(name) for name in topics]
     if not ours and (unknown := [row.name for row in rows if row.mavlink.startswith("TWODOF_")]):
         remedy = "leave it out; docs/how-to/connect-clients.md says what there is"
-        raise LogError("only a drone of ours sends it", unknown[0], remedy)
+        raise LogError("only a twodof drone sends this topic", unknown[0], remedy)
     if not truth and (unknown := [row.name for row in rows if not row.onboard]):
-        raise LogError("nobody on board, and nobody with a real drone, knows the truth", unknown[0], "leave it out")
+        what = "the true state is known only to a ground station with a virtual drone"
+        raise LogError(what, unknown[0], "leave it out")
     return rows
 
 
@@ -290,10 +291,10 @@ async def record(
     flying: Callable[[], Awaitable[ActiveController]] | None,
     overwrite: bool,
 ) -> AsyncIterator[Recording]:
-    """Record into a new file during the block: all samples of a drone of ours, the messages of another's.
+    """Record into a new file during the block: all samples of a twodof drone, or the messages of a plain PX4.
 
-    `flying` reads the active controller of a drone of ours; None for another's. Raises LogError for an existing file or
-    an unknown topic; RecordingError for an error of the disk; Rejected, LinkLost, Timeout.
+    `flying` reads the active controller of a twodof drone; None for a plain PX4. Raises LogError for an existing file
+    or an unknown topic; RecordingError for an error of the disk; Rejected, LinkLost, Timeout.
     """
     ours, session, clock, rig = flying is not None, drone.session, drone.clock, drone.state.rig
     rows = chosen(topics, rig.virtual and not session.on_board, ours)

@@ -24,7 +24,7 @@ class Deadline:
 
     def __init__(self, seconds: float, doing: str, where: str = "") -> None:
         if not 0.0 <= seconds < 1e7:
-            raise ValueError(f"a deadline of {seconds!r} s")
+            raise ValueError(f"a timeout of {seconds!r} s is out of range: give 0 to 1e7 s")
         self.seconds, self.doing, self.where = seconds, doing, where
         self._loop = asyncio.get_running_loop()
         self.end = self._loop.time() + seconds
@@ -34,7 +34,7 @@ class Deadline:
         """Remaining time [s], never negative."""
         return max(0.0, self.end - self._loop.time())
 
-    def error(self, remedy: str = "ask again, or give it more time") -> Timeout:
+    def error(self, remedy: str = "check the link, then try again, or allow more time") -> Timeout:
         """Return the error to raise after the deadline."""
         return Timeout(f"{self.doing}: no answer within {self.seconds:.3g} s", self.where, remedy)
 
@@ -205,9 +205,9 @@ class DroneSession:
         return "", "start it, correct the address or the key, or look with Drone.discover()"
 
     def on(self, handler: Handler, *kinds: str | type) -> None:
-        """Hand each message of these names from the vehicle, or event of these types, to `handler`.
+        """Call `handler` with each message of these names from the vehicle, and each event of these types.
 
-        It must be quick. No message is handed on before `find`.
+        The handler must be quick. It gets no message before `find`.
         """
         for kind in kinds:
             self._handlers.setdefault(kind, []).append(handler)
@@ -228,7 +228,7 @@ class DroneSession:
 
     @contextmanager
     def listen(self, *names: str) -> Iterator[MessageListener]:
-        """Listen to messages of these kinds; before a vehicle is found, of every sender."""
+        """Listen to the messages of these names from the vehicle; before it is found, from every sender."""
         heard = MessageListener(self, names)
         self._listeners.append(heard)
         try:
@@ -257,11 +257,11 @@ class DroneSession:
         prolonged: bool = False,
         meanwhile: Callable[[], Awaitable[None]] | None = None,
     ) -> T:
-        """Send `question(attempt)` every `retry_s` until `accept` of an answer gives a value; return that value.
+        """Send `question(attempt)` every `retry_s` [s] until `accept` returns a value for an answer; return that value.
 
-        A question that is None is not sent. If `prolonged`, every answer prolongs the time until the next question, for
-        questions with many answers. `meanwhile` is awaited after each question and answer, to let the drone's time
-        pass. Raises LinkLost, Timeout at the deadline, and exceptions of `accept`.
+        `answers` are the names of messages that may answer. A question that is None is not sent. If `prolonged`, every
+        answer postpones the next question, for questions with many answers. `meanwhile` is awaited after each question
+        and answer, to let the drone's time pass. Raises LinkLost, Timeout at the deadline, and exceptions of `accept`.
         """
         with self.listen(*answers) as heard:
             for attempt in count():
@@ -294,7 +294,7 @@ class DroneSession:
         self.must_stand()
 
     def must_stand(self) -> None:
-        """Raise LinkLost if the vehicle is known to be lost; any thread may ask."""
+        """Raise LinkLost if the vehicle is known to be lost; safe to call from any thread."""
         lost = self.lost
         if lost is not None:
             raise LinkLost(lost.what, lost.where, lost.remedy)

@@ -1,4 +1,4 @@
-"""Set-points: their bounds, the mode in which one is followed, and the stream that keeps the latest one alive.
+"""Set-points: their bounds, the mode that follows each, and the stream that repeats the latest one.
 
 The stream sends at 50 Hz, as the real ground station, and in lockstep at every fifth tick, stamped with that tick. It
 ends with its process: then the drone's failsafe acts.
@@ -21,9 +21,9 @@ from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, TICK_S, VELOCITY
 
 PERIOD_S = 0.02
 MOST_PITCH, MOST_RATE = pi / 2, 60.0
-"""[rad], [rad/s]: beyond them degrees were meant; 60 rad/s is more than the gyro measures."""
+"""[rad], [rad/s]: a larger number was probably meant in degrees; 60 rad/s is more than the gyro measures."""
 MOST_WAY, MOST_SPEED = 1.0, 5.0
-"""[m], [m/s]: beyond them millimetres were meant; the rail is shorter."""
+"""[m], [m/s]: a larger number was probably meant in millimetres; the rail is shorter."""
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.
 _MODE_RETRY_S = 0.1
 _MESSAGES = ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "TWODOF_OPENLOOP")
@@ -31,8 +31,8 @@ _REASONS = {
     RefusalReason.LEASE: "another client holds the lease",
     RefusalReason.RINGS: "it moves the cart, and the rings lock it",
     RefusalReason.INVALID: "a number is not finite or outside its bounds",
-    RefusalReason.QUEUE: "too many wait, or it is more than a minute ahead",
-    RefusalReason.NOTHING: "it asks for nothing that is flown here",
+    RefusalReason.QUEUE: "too many wait, or its time is more than a minute ahead",
+    RefusalReason.NOTHING: "it asks for nothing that this drone can fly",
 }
 
 
@@ -77,7 +77,8 @@ def _thrust(thrust: float) -> float:
 def _fraction(name: str, value: float, least: float) -> float:
     found = _number(name, value)
     if not least <= found <= 1.0:
-        raise ParameterError(f"{name} = {found:g} is outside {least:g} to 1", "set-point", "nothing was sent")
+        remedy = "give a value within; nothing was sent"
+        raise ParameterError(f"{name} = {found:g} is outside {least:g} to 1", "set-point", remedy)
     return found
 
 
@@ -85,7 +86,7 @@ def _within(name: str, value: float, most: float, unit: str) -> float:
     found = _number(name, value)
     if abs(found) <= most:
         return found
-    what, remedy = f"{name} = {found:g} {unit} is beyond {most:g} {unit}", f"it is in {unit}"
+    what, remedy = f"{name} = {found:g} {unit} is beyond {most:g} {unit}", f"give it in {unit}"
     if unit.startswith("rad"):
         in_degrees = f"{degrees(found):.0f} {unit.replace('rad', 'deg')}, beyond {degrees(most):.0f}"
         what = f"angles are in radians: {name} = {found:g} {unit} is {in_degrees}"
@@ -95,12 +96,13 @@ def _within(name: str, value: float, most: float, unit: str) -> float:
 
 def _number(name: str, value: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ParameterError(f"{name} = {shown(value)} is not a finite number", "set-point", "nothing was sent")
+        remedy = "give a finite number; nothing was sent"
+        raise ParameterError(f"{name} = {shown(value)} is not a finite number", "set-point", remedy)
     return float(value)
 
 
 class SetpointStream:
-    """Stream of the latest set-point to one drone, which is flown in a mode that follows it."""
+    """Stream that repeats the latest set-point to one drone, and enters a mode that follows it."""
 
     def __init__(
         self,
@@ -155,7 +157,7 @@ class SetpointStream:
     ) -> None:
         """Let the drone's time pass up to a tick or until `condition()`. Raises as DroneClock.run_until.
 
-        A kill ends the stream; Rejected is raised for it.
+        A kill ends the stream and raises Rejected.
         """
 
         def killed() -> bool:
@@ -208,11 +210,11 @@ class SetpointStream:
                 await self.pass_time(self._clock.tick + ceil(_MODE_RETRY_S / TICK_S), within=deadline)
 
     def _refusal(self, code: RefusalReason, deadline: Deadline) -> Rejected:
-        remedy = "put right what it says and try again"
+        remedy = "remove this cause and try again"
         if code is RefusalReason.RINGS:
             virtual = self._watcher.state.rig.virtual
             remedy = "disarm and drone.reset(rings=False)" if virtual else "take the rings off"
-        reason = _REASONS.get(code, "drone.messages has its reason")
+        reason = _REASONS.get(code, "see drone.messages for the drone's reason")
         return Rejected(f"set-point refused: {reason}", deadline.where, remedy, code)
 
     def _check_lease(self, deadline: Deadline) -> None:

@@ -97,7 +97,7 @@ def _batch(got: Any) -> Decoded:
 
 @lru_cache(maxsize=64)
 def columns_of(mask: int) -> Mapping[str, int]:
-    """Return the place of each column of TOPICS in the rows of a batch with these channels."""
+    """Return the index of each column of TOPICS in the rows of a batch whose channels are `mask`."""
     bits = channel_bits()
     named = {column: bits.get(column.replace(".", "_").upper(), 0) for row in TOPICS for column in row.columns}
     places = {bit: place for place, bit in enumerate(1 << k for k in range(64) if mask >> k & 1)}
@@ -154,7 +154,7 @@ class SampleStream:
         self.heard.since = self._session.now
         sample: TelemetrySample | None = await self.heard.next(deadline.end)
         if sample is None:
-            raise deadline.error("the drone does not send it, or its time stands still")
+            raise deadline.error("make the drone send it, and let the drone's time pass")
         return sample
 
     def __aiter__(self) -> AsyncIterator[TelemetrySample]:
@@ -202,7 +202,7 @@ class AsyncSignal:
             self._streams.remove(stream)
 
     def on(self, callback: Callback) -> Callable[[], None]:
-        """Call `callback` with each sample, in the drone's thread; return a function that ends that.
+        """Call `callback` with each sample, in the drone's thread; return a function that ends this.
 
         The callback must be quick. Its exceptions go to the event loop's exception handler.
         """

@@ -44,8 +44,8 @@ class Received(NamedTuple):
 class Connection:
     """Messages over `transport` as `system` and `component` (1 to 255 each).
 
-    With `signing` everything sent is signed, and only what is signed with its key is taken in; the rest is counted and
-    has no other effect. `clock` gives seconds for statistics and round trips. Closing it closes the transport.
+    With `signing` all sent messages are signed, and received frames without a signature by its key are only counted.
+    `clock` gives the time [s] for statistics and round trips. Closing the connection closes the transport.
     """
 
     def __init__(
@@ -91,9 +91,10 @@ class Connection:
         return asdict(self._counts)
 
     def send(self, sent: Any, to: Hashable | None = None) -> None:
-        """Send a message to one peer, or to all; each has a sequence of its own, so that its losses can be counted.
+        """Send a message to the peer `to`, or to all; each peer has its own sequence numbers, so it can count losses.
 
-        Raises LinkError, naming the field, where a value does not fit, and LinkLost once the link is gone.
+        Raises LinkError, with the name of the field, if a value does not fit its type, and LinkLost once the link is
+        gone.
         """
         if self.transport.closed:
             raise LinkLost("the link is closed", self.transport.url, "open it again")
@@ -137,9 +138,9 @@ class Connection:
                     self._take(b"", peer, whole=True)
 
     def receive_now(self) -> Received | None:
-        """Return the next message if it is found in bounded time; otherwise `receive` may still find one.
+        """Return the next message if it is found in bounded time, else None; `receive` may still find one then.
 
-        Raises LinkLost as `receive`.
+        Raises LinkLost when the link is gone, after all messages that had arrived.
         """
         left = MOST_LOOKED_THROUGH // A_PACKET
         while left > 0 and (found := self._next_frame()) is not None:
@@ -150,7 +151,7 @@ class Connection:
         return None
 
     def ping(self, to: Hashable | None = None) -> None:
-        """Ask for the other clock by TIMESYNC; the answer shows in `statistics.round_trips` once it was received."""
+        """Send a TIMESYNC request. Its answer, once received, updates `statistics.round_trips`."""
         now = self._clock()
         token = int(now * 1e9)
         self.statistics.round_trips.asked(token, now)
@@ -217,7 +218,7 @@ class Connection:
                 self._frames.appendleft((frame, packet.peer))
 
     def _lets_in(self, frame: Frame, peer: Hashable) -> bool:
-        """Return True if a frame is signed as it must be, and is not a question about time that is answered here."""
+        """Return True if a frame has the signature it needs, and is not a TIMESYNC or PING that is answered here."""
         if not self._admission.admits(frame, self._clock(), partial(self.ping, peer)):
             return False
         if frame.known:
@@ -226,7 +227,7 @@ class Connection:
         return frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer)
 
     def _answer(self, frame: Frame, peer: Hashable) -> bool:
-        """Answer a question about time, or take the answer to ours; return False if the frame is for the user."""
+        """Answer a TIMESYNC or PING, or take the answer to ours; return False for any other frame."""
         got = decode(frame)
         if got is None:
             return False

@@ -55,9 +55,9 @@ WRITE_S = 5.0
 RETRY_S = 1.0
 OWN = "own"
 TELL_S = 0.1
-"""A peer that signs rightly with an old stamp is told our time. A replayed packet looks the same, so few are answered.
+"""Shortest interval [s] at which peers with a right signature and an old stamp are sent our time.
 
-Over UDP the peer may hear nothing else of us.
+A replayed packet looks the same, so few are answered. Over UDP the peer may get no other message from us.
 """
 
 SIGNATURE_HASH = 6
@@ -80,7 +80,7 @@ class Key:
         return f"Key({self.fingerprint})"
 
     def __reduce__(self) -> str:
-        raise TypeError("a signing key is not pickled: let the other process read the key's file")
+        raise TypeError("a signing key cannot be pickled: let the other process read the key's file")
 
     @property
     def fingerprint(self) -> str:
@@ -101,7 +101,7 @@ class Key:
         """
         if len(passphrase) < SHORTEST_PASSPHRASE:
             what = f"a passphrase of {len(passphrase)} characters is easily guessed"
-            raise LinkError(what, "key", f"take {SHORTEST_PASSPHRASE} or more, such as five random words")
+            raise LinkError(what, "key", f"choose {SHORTEST_PASSPHRASE} or more, such as five random words")
         return cls(hashlib.sha256(passphrase.encode()).digest())
 
 
@@ -366,7 +366,7 @@ class Signing:
         return self._outgoing
 
     def check(self, frame: Frame) -> SigningVerdict:
-        """Judge a received frame and count the verdict."""
+        """Check the signature and the stamp of a received frame; count and return the verdict."""
         verdict = self._judge(frame)
         name = verdict.name.lower()
         setattr(self.counts, name, getattr(self.counts, name) + 1)
@@ -397,14 +397,17 @@ class Signing:
 
 
 class Admission:
-    """Decides which frames of one link are let in; without `signing` all are."""
+    """Filter of the received frames of one link; without `signing` it accepts all."""
 
     def __init__(self, signing: Signing | None) -> None:
         self._signing = signing
         self._told = -TELL_S
 
     def admits(self, frame: Frame, now: float, tell: Callable[[], None]) -> bool:
-        """Return whether a frame is accepted at `now` [s]; a peer that signs rightly and is behind is told our time."""
+        """Return whether a frame is accepted at `now` [s].
+
+        If its signature is right and its stamp too old, call `tell`, which sends the peer our time.
+        """
         if self._signing is None:
             return True
         verdict = self._signing.check(frame)

@@ -30,7 +30,7 @@ class SenderCounts:
         return self.lost / sent if sent > 0 else 0.0
 
     def count(self, sequence: int) -> None:
-        """Count a frame.
+        """Count a frame by its sequence number.
 
         A frame up to WINDOW behind the newest was late, or is a second copy. A frame further behind, but not far ahead,
         comes from a sender that restarted.
@@ -56,7 +56,7 @@ class SenderCounts:
 
 @dataclass(slots=True)
 class RoundTrips:
-    """Round trips [s] of TIMESYNC and PING: the last, the least, a mean that forgets, and how often."""
+    """Round trips [s] of TIMESYNC and PING: their number, the last, the least and an exponentially weighted mean."""
 
     count: int = 0
     last: float = 0.0
@@ -66,13 +66,16 @@ class RoundTrips:
     _asked: dict[int, float] = field(default_factory=dict)
 
     def asked(self, token: int, now: float) -> None:
-        """Note that the question `token` was sent at `now` [s]; if there are too many, forget the oldest."""
+        """Note that the request `token` was sent at `now` [s]; if there are too many, forget the oldest."""
         self._asked[token] = now
         if len(self._asked) > MOST_ASKED:
             del self._asked[next(iter(self._asked))]
 
     def answered(self, token: int, now: float, theirs: float | None = None) -> float | None:
-        """Return the round trip [s] of an answer at `now` [s], None without a question; `theirs` is the other clock."""
+        """Return the round trip [s] of the answer to request `token` at `now` [s]; None if there is no such request.
+
+        `theirs` is the other clock in the answer [s].
+        """
         sent = self._asked.pop(token, None)
         if sent is None or now < sent:
             return None

@@ -137,7 +137,7 @@ def test_the_page_lists_every_one_of_our_messages() -> None:
 
 
 def test_no_message_is_unknown_without_saying_what_there_is() -> None:
-    with pytest.raises(LinkError, match=r"no such message 'ATITUDE'.*ATTITUDE"):
+    with pytest.raises(LinkError, match=r"no message 'ATITUDE'.*ATTITUDE"):
         dialect.message_id("ATITUDE")
 
 

@@ -35,7 +35,7 @@ NO_AUTOPILOT = 8
 
 
 class MavResult(IntEnum):
-    """MAV_RESULT: how a command was answered."""
+    """MAV_RESULT: result of a command in its COMMAND_ACK."""
 
     ACCEPTED = 0
     TEMPORARILY_REJECTED = 1
@@ -46,7 +46,7 @@ class MavResult(IntEnum):
 
 
 class MavSeverity(IntEnum):
-    """MAV_SEVERITY: how urgent a text is, as in syslog."""
+    """MAV_SEVERITY: urgency of a text, as in syslog."""
 
     CRITICAL = 2
     ERROR = 3
@@ -143,7 +143,7 @@ _lock = Lock()
 def load() -> ModuleType:
     """Return the dialect's module, the same one for all threads of the process.
 
-    Raises LinkError where it cannot be generated.
+    Raises LinkError if it cannot be generated.
     """
     with _lock:
         module = sys.modules.get(MODULE)
@@ -156,7 +156,7 @@ def load() -> ModuleType:
 def build(files: Mapping[str, str]) -> ModuleType:
     """Generate a module from the definitions in `files` (name -> XML; the first includes the others), unregistered.
 
-    Raises LinkError where the generator refuses or hangs.
+    Raises LinkError if the generator refuses or hangs.
     """
     generator = f"pymavlink {pymavlink.__version__} {importlib.util.MAGIC_NUMBER.hex()} {sys.implementation.cache_tag}"
     key = ("mavlink", generator, *(part for item in files.items() for part in item))
@@ -169,11 +169,11 @@ def build(files: Mapping[str, str]) -> ModuleType:
         module = ModuleType(MODULE, "MAVLink as generated from dialect.xml.")
         exec(code, module.__dict__)
         return module
-    raise LinkError("its byte code cannot be read", "MAVLink dialect", "empty the folder that TWODOF_CACHE names")
+    raise LinkError("the cached code cannot be read", "MAVLink dialect", "empty the folder that TWODOF_CACHE names")
 
 
 def _generate(files: Mapping[str, str], made: Path) -> None:
-    """Write the byte code of what the generator makes of `files` to `made`."""
+    """Generate a module from `files` and write its byte code to `made`."""
     for name, text in files.items():
         made.with_name(name).write_text(text, encoding="utf-8")
     source = made.with_suffix(".py")
@@ -182,11 +182,11 @@ def _generate(files: Mapping[str, str], made: Path) -> None:
     try:
         done = subprocess.run(command, capture_output=True, timeout=BUILD_SECONDS, check=False, cwd=made.parent)
     except (subprocess.TimeoutExpired, OSError) as error:
-        what = f"it was not generated: {error}"
+        what = f"the dialect was not generated: {error}"
         raise LinkError(what, "MAVLink dialect", "try again when the machine is less busy") from error
     if done.returncode or not source.is_file():
         said = (done.stderr or done.stdout).decode("utf-8", "replace").strip()[-1000:]
-        raise LinkError(f"the generator refused: {said}", "MAVLink dialect", "check that pymavlink is installed whole")
+        raise LinkError(f"the generator refused: {said}", "MAVLink dialect", "install pymavlink again")
     # Annotations as text and no docstrings: half of the time that loading takes.
     flags = __future__.annotations.compiler_flag
     code = compile(source.read_text(encoding="utf-8"), MODULE, "exec", flags=flags, dont_inherit=True, optimize=2)
@@ -203,5 +203,5 @@ def message_id(name: str) -> int:
     """Return the id of the message called `name` ("HEARTBEAT"). Raises LinkError if there is none."""
     found = getattr(load(), f"MAVLINK_MSG_ID_{name}", -1)
     if found < 0:
-        raise LinkError(f"no such message {shown(name)}", "MAVLink dialect", f"there are {listed(classes(), 200)}")
+        raise LinkError(f"no message {shown(name)}", "MAVLink dialect", f"choose one of {listed(classes(), 200)}")
     return int(found)

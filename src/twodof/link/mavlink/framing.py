@@ -72,9 +72,10 @@ def crc_extras() -> dict[int, bytes]:
 
 
 class Parser:
-    """Cuts a stream or datagrams into frames.
+    """Parser that cuts a stream, or datagrams, into frames.
 
-    `mavlink1` false refuses, and counts, frames of MAVLink 1, which cannot be signed. Several may share `counts`.
+    Without `mavlink1` it refuses, and counts, frames of MAVLink 1, which cannot be signed. Several parsers may share
+    `counts`.
     """
 
     def __init__(self, mavlink1: bool = True, counts: FramingCounts | None = None) -> None:
@@ -238,7 +239,8 @@ def encode(message: Any, system: int, component: int, sequence: int, signing: An
     try:
         return bytes(message.pack(_Sender(sequence, system, component, signing)))
     except (struct.error, TypeError, IndexError, OverflowError, AttributeError) as error:
-        raise LinkError(f"cannot be encoded: {_culprit(message)}", message.get_type(), str(error)) from error
+        remedy = f"give a value that fits: {error}"
+        raise LinkError(f"cannot be encoded: {_culprit(message)}", message.get_type(), remedy) from error
 
 
 def _culprit(message: Any) -> str:
@@ -268,7 +270,7 @@ MOST_FALSE_STOPS = 4
 
 
 def stops_motors(command: int, first: float) -> bool:
-    """Return True for a kill and for a disarming, by the command's number and first parameter."""
+    """Return True if a command, by its number and its parameter `first`, is a kill or a disarm."""
     if command == dialect.MavCmd.DO_FLIGHTTERMINATION:
         return first > 0.5
     return command == dialect.MavCmd.COMPONENT_ARM_DISARM and first == 0.0

@@ -14,7 +14,7 @@ _PAYLOAD = 251
 
 
 class FtpOperation(IntEnum):
-    """Operation codes."""
+    """Operation codes of MAVLink FTP."""
 
     NONE = 0
     TERMINATE = 1
@@ -37,7 +37,7 @@ class FtpOperation(IntEnum):
 
 
 class FtpError(IntEnum):
-    """Error codes of a NAK."""
+    """Error codes in a NAK of MAVLink FTP."""
 
     FAIL = 1
     ERRNO = 2
@@ -51,7 +51,7 @@ class FtpError(IntEnum):
 
 
 class FtpPacket(NamedTuple):
-    """One packet, asked or answered."""
+    """One packet, a request or an answer; in an answer, `asked` is the operation of its request."""
 
     sequence: int
     session: int
@@ -72,7 +72,7 @@ class FtpPacket(NamedTuple):
         return self._answer(FtpOperation.ACK, data, **changed)
 
     def nak(self, fault: int, errno: int = 0) -> FtpPacket:
-        """Return the negative answer to this request."""
+        """Return the negative answer to this request: an FtpError, for ERRNO with the system's `errno`."""
         return self._answer(FtpOperation.NAK, bytes((fault, errno & 0xFF) if fault == FtpError.ERRNO else (fault,)))
 
     def part(self, number: int, offset: int, data: bytes, last: bool) -> FtpPacket:
@@ -91,6 +91,6 @@ def read_packet(payload: bytes) -> FtpPacket:
 
 
 def packed(packet: FtpPacket, system: int, component: int) -> Any:
-    """Return the message that carries a packet to a client."""
+    """Return the FILE_TRANSFER_PROTOCOL message that carries a packet to the client `system`, `component`."""
     payload = _HEADER.pack(*packet[:-1]) + packet.data
     return message("FILE_TRANSFER_PROTOCOL", target_system=system, target_component=component, payload=payload)

@@ -1,4 +1,4 @@
-"""Messages by name with checked fields, and the content of our own: batches of samples, excitations in pieces.
+"""Messages by name with checked fields, and the content of twodof's own: batches of samples, excitations in pieces.
 
 A message is an object of pymavlink's class for it. A field that is not given is 0 (text: empty).
 """
@@ -90,7 +90,8 @@ def float_of_int(value: int) -> float:
     except (struct.error, TypeError) as error:
         raise LinkError(f"{shown(value)} is not an int32", "PARAM_VALUE", "give -2^31 to 2^31 - 1") from error
     if int_of_float(carried) != value:
-        raise LinkError(f"{value} is not kept as a float", "PARAM_VALUE", "choose a smaller whole number")
+        what = f"{value} cannot be sent: its bits as a float are a signalling NaN"
+        raise LinkError(what, "PARAM_VALUE", "choose a smaller whole number")
     return carried
 
 
@@ -100,7 +101,7 @@ def int_of_float(value: float) -> int:
 
 
 def statustext(text: str, severity: int = 6, number: int = 0) -> list[Any]:
-    """Make STATUSTEXT of a line; a longer one in chunks under the id `number`, which must then be 1 to 65535.
+    """Make the STATUSTEXT messages of a line: one, or for a long line chunks with the id `number` (1 to 65535).
 
     Severities are syslog's (MAV_SEVERITY): 6 is information. At most 255 chunks; the rest is cut.
     """
@@ -124,12 +125,12 @@ def channel_bits() -> dict[str, int]:
 
 
 def channel_mask(columns: Sequence[str]) -> int:
-    """Return the mask of columns such as `imu.gyro_y`. Raises LinkError for an unknown column."""
+    """Return TWODOF_BATCH.channels for log columns such as `imu.gyro_y`. Raises LinkError for an unknown column."""
     bits, mask = channel_bits(), 0
     for column in columns:
         bit = bits.get(column.replace(".", "_").upper())
         if bit is None:
-            raise LinkError(f"no channel {shown(column)}", "TWODOF_BATCH", f"there are {listed(bits, 64)}")
+            raise LinkError(f"no channel {shown(column)}", "TWODOF_BATCH", f"choose of {listed(bits, 64)}")
         mask |= bit
     return mask
 
@@ -144,13 +145,15 @@ def batch_rows(received: Any) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
 
 
 def excite(excitation: Excitation, loop: int, transfer: int, system: int, component: int) -> Iterator[Any]:
-    """Cut an excitation's definition into messages to be sent in order; TWODOF_EXCITE with action START plays it.
+    """Cut an excitation's definition into TWODOF_EXCITE messages, to be sent in order to `system`, `component`.
 
-    Raises LinkError for a definition longer than LONGEST_EXCITATION bytes.
+    `loop` is the loop that it excites and `transfer` the number of this upload. Another TWODOF_EXCITE, with the action
+    START, plays it. Raises LinkError for a definition longer than LONGEST_EXCITATION bytes.
     """
     data = excitation.to_json().encode()
     if len(data) > LONGEST_EXCITATION:
-        raise LinkError(f"its definition has {len(data)} bytes", "TWODOF_EXCITE", "at most 65535 are sent")
+        what = f"the excitation's definition has {len(data)} bytes, at most {LONGEST_EXCITATION} can be sent"
+        raise LinkError(what, "TWODOF_EXCITE", "shorten the excitation")
     return (
         message(
             "TWODOF_EXCITE",
@@ -204,7 +207,7 @@ class ExcitationReceiver:
 
 
 LARGEST_FLOAT32 = float.fromhex("0x1.fffffep+127")
-"""What is larger is infinity on the wire."""
+"""Largest finite float32; a larger number is infinite on the wire."""
 
 
 class Packed:
@@ -237,12 +240,13 @@ class Packed:
 
 
 class Packer:
-    """Packs one kind of message from the values of `fields`, the others being 0; without `fields` from those of all.
+    """Packer of one kind of message from the values of `fields`, by default all; the other fields are 0.
 
-    Fields are named in their order on the wire (by falling size of the type), and arrays are spread out in the call.
+    Fields are named in their order on the wire (by falling size of the type). In a call each element of an array is an
+    argument of its own.
 
     A real number beyond float32 becomes infinite, as on a processor that computes in float32. Any other value that does
-    not fit its type raises struct.error. A field that is none, or out of order, raises LinkError.
+    not fit its type raises struct.error. Unknown fields, or fields out of order, raise LinkError.
     """
 
     def __init__(self, name: str, *fields: str) -> None:

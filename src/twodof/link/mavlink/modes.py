@@ -7,10 +7,10 @@ from twodof.errors import LinkError, listed, shown
 
 
 class FlightMode(NamedTuple):
-    """Mode that a client may choose. `name` is ours, `main` and `sub` are PX4's; MAV_STANDARD_MODE, MAV_MODE_PROPERTY.
+    """Mode that a client may choose: `name` is twodof's, `main` and `sub` are the numbers of PX4.
 
-    `sticks`: MANUAL_CONTROL steers it. `moves_cart`: it moves the cart, which the rings may lock. `levels`: a loop on
-    board keeps the pitch.
+    `standard_mode` is MAV_STANDARD_MODE, `properties` are MAV_MODE_PROPERTY. `sticks`: MANUAL_CONTROL steers the drone.
+    `moves_cart`: the mode moves the cart, which the rings may lock. `levels`: a loop on board keeps the pitch.
     """
 
     name: str
@@ -25,7 +25,7 @@ class FlightMode(NamedTuple):
 
     @property
     def custom_mode(self) -> int:
-        """As HEARTBEAT carries it."""
+        """The mode as HEARTBEAT.custom_mode."""
         return self.main << 16 | self.sub << 24
 
 
@@ -67,15 +67,15 @@ MANUAL, RATE, ATTITUDE, POSITION, HOLD, OFFBOARD = (mode.custom_mode for mode in
 
 
 def custom_mode(name: str) -> int:
-    """custom_mode of the mode `name`. Raises LinkError for a name that is none."""
+    """Return HEARTBEAT.custom_mode of the mode `name`. Raises LinkError for an unknown name."""
     mode = BY_NAME.get(name)
     if mode is None:
-        raise LinkError(f"no mode called {shown(name)}", "custom_mode", f"there are {listed(BY_NAME)}")
+        raise LinkError(f"no mode called {shown(name)}", "custom_mode", f"choose one of {listed(BY_NAME)}")
     return mode.custom_mode
 
 
 def mode_name(number: int) -> str:
-    """Name of a custom_mode, as text where it is none of ours."""
+    """Return the name of a custom_mode, or its numbers as text if it is not in `MODES`."""
     mode = BY_NUMBER.get(number)
     return mode.name if mode is not None else f"main {number >> 16 & 0xFF}, sub {number >> 24 & 0xFF}"
 
@@ -87,7 +87,7 @@ UNREADY, STANDBY, ACTIVE, CRITICAL, TERMINATED = 0, 3, 4, 5, 8
 
 
 def base_mode(number: int, armed: bool) -> int:
-    """HEARTBEAT.base_mode of a custom_mode of `MODES`, with the flags that PX4 sets."""
+    """Return HEARTBEAT.base_mode of the custom_mode `number` in `MODES`, with the flags that PX4 sets."""
     mode = BY_NUMBER[number]
     flags = _CUSTOM | (_ARMED if armed else 0)
     flags |= (_MANUAL if mode.sticks else 0) | (_STABILIZE if mode.levels else 0)

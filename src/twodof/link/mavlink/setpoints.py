@@ -1,6 +1,6 @@
-"""SetPoint, and its messages, and back: masks as PX4 reads them, the pitch as a quaternion.
+"""SetPoint, and its conversion to and from MAVLink messages, with masks as PX4 reads them.
 
-What is ignored in a message is None in the set-point. Of an attitude the pitch counts; north is the rail's x.
+A field that a message ignores is None in the set-point. Of an attitude only the pitch counts; north is the rail's x.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class SetPoint(NamedTuple):
         return self.loop is not None and self.loop >= VELOCITY
 
     def after(self, before: SetPoint) -> SetPoint:
-        """Return both in one: where this set-point leaves a number open, the one before gives it."""
+        """Return this set-point with each number that is None taken from the set-point `before`."""
         return SetPoint._make(old if new is None else new for new, old in zip(self, before, strict=True))
 
 
@@ -62,12 +62,12 @@ NOTHING = SetPoint(None)
 
 
 def quaternion(theta: float) -> list[float]:
-    """(w, x, y, z) of a pitch [rad]; level is exactly (1, 0, 0, 0)."""
+    """Return the quaternion (w, x, y, z) of a pitch [rad]; level is exactly (1, 0, 0, 0)."""
     return [math.cos(0.5 * theta), 0.0, math.sin(0.5 * theta), 0.0]
 
 
 def pitch(q: Sequence[float]) -> float:
-    """Pitch [rad] of a quaternion (w, x, y, z) of any length, within +-pi/2; NaN if it is none."""
+    """Return the pitch [rad], within +-pi/2, of a quaternion (w, x, y, z) of any length; NaN if it is no rotation."""
     w, x, y, z = q
     square = w * w + x * x + y * y + z * z
     if not 1e-6 < square < 1e6:
@@ -76,23 +76,23 @@ def pitch(q: Sequence[float]) -> float:
 
 
 def attitude_target(theta: float, thrust: float, **where: int) -> Any:
-    """SET_ATTITUDE_TARGET for a pitch [rad]; `where`: time_boot_ms, target_system, target_component."""
+    """Return SET_ATTITUDE_TARGET for a pitch [rad]; `where`: time_boot_ms, target_system, target_component."""
     return message("SET_ATTITUDE_TARGET", type_mask=ALL_RATES, q=quaternion(theta), thrust=thrust, **where)
 
 
 def rate_target(q: float, thrust: float, **where: int) -> Any:
-    """SET_ATTITUDE_TARGET for a pitch rate [rad/s]."""
+    """Return SET_ATTITUDE_TARGET for a pitch rate [rad/s]; `where` as in `attitude_target`."""
     q0 = quaternion(0.0)
     return message("SET_ATTITUDE_TARGET", type_mask=NO_ATTITUDE, q=q0, thrust=thrust, body_pitch_rate=q, **where)
 
 
 def position_target(x: float, acceleration: float = NAN, **where: int) -> Any:
-    """SET_POSITION_TARGET_LOCAL_NED for a position along the rail [m], with a feed-forward [m/s2] if it is given."""
+    """Return SET_POSITION_TARGET_LOCAL_NED for a position along the rail [m] and a feed-forward [m/s2] unless NaN."""
     return _along_rail(_VELOCITY, acceleration, x=x, **where)
 
 
 def velocity_target(v: float, acceleration: float = NAN, **where: int) -> Any:
-    """SET_POSITION_TARGET_LOCAL_NED for a velocity along the rail [m/s], with a feed-forward [m/s2] if it is given."""
+    """Return SET_POSITION_TARGET_LOCAL_NED for a velocity along the rail [m/s] and a feed-forward [m/s2] unless NaN."""
     return _along_rail(_POSITION, acceleration, vx=v, **where)
 
 
@@ -105,9 +105,9 @@ def _along_rail(ignored: int, acceleration: float, **fields: Any) -> Any:
 
 
 def read_attitude(received: Any) -> SetPoint | None:
-    """Return the set-point of a SET_ATTITUDE_TARGET; None if it is not flown here: rates without the pitch's.
+    """Return the set-point in a SET_ATTITUDE_TARGET; None if this drone cannot fly it: rates without a pitch rate.
 
-    As PX4: an attitude goes before rates; `thrust_body` before `thrust`, of which its z counts.
+    As in PX4, an attitude takes precedence over rates, and the z of `thrust_body` over `thrust`.
     """
     mask = received.type_mask
     thrust = None
@@ -125,10 +125,10 @@ def read_attitude(received: Any) -> SetPoint | None:
 
 
 def read_position(received: Any) -> SetPoint | None:
-    """Return the set-point of a SET_POSITION_TARGET_LOCAL_NED; None if it is not flown here.
+    """Return the set-point in a SET_POSITION_TARGET_LOCAL_NED; None if this drone cannot fly it.
 
-    As PX4: a position goes before a velocity, and a NaN counts as ignored. The frame is LOCAL_NED, or BODY_NED for a
-    velocity. Forces are refused. An acceleration alone is not flown here; with the others it is a feed-forward.
+    As in PX4, a position takes precedence over a velocity, and a NaN counts as ignored. The frame is LOCAL_NED, or
+    BODY_NED for a velocity. An acceleration is a feed-forward of either. Forces, and an acceleration alone, give None.
     """
     mask, frame = received.type_mask, received.coordinate_frame
     given = not mask & NO_AX and not math.isnan(received.afx)

@@ -17,8 +17,8 @@ RETRY_S = 0.05
 async def open_transport(url: str, timeout: float = 5.0) -> Transport:
     """Open the transport that `url` names; the forms are in `url.parse`.
 
-    If the other side does not listen yet, it is tried again until `timeout` [s] has passed. Raises LinkError for an
-    invalid URL or one that the system refuses, LinkLost without an answer in time.
+    If the other side does not listen yet, `open_transport` tries again until `timeout` [s] has passed. Raises LinkError
+    for an invalid URL or one that the system refuses, LinkLost without an answer in time.
     """
     address = parse(url)
     try:
@@ -29,11 +29,11 @@ async def open_transport(url: str, timeout: float = 5.0) -> Transport:
                 except ConnectionRefusedError:
                     await asyncio.sleep(RETRY_S)
     except TimeoutError as error:
-        what = f"nobody answered within {timeout:g} s"
+        what = f"no answer within {timeout:g} s"
         raise LinkLost(what, str(address), "start the other side, or correct the address") from error
     except OSError as error:
         bound = address.listens or address.bind_name
-        remedy = "choose another port, or end who has it" if bound else "check the host's name"
+        remedy = "choose another port, or end the program that has it" if bound else "check the host's name"
         raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
 
 

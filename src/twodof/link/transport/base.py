@@ -82,7 +82,7 @@ class Inbox:
 
     @property
     def full(self) -> bool:
-        """True if it is half full, so that a stream should be paused."""
+        """True if the queue is more than half full: a stream that fills it should be paused."""
         return self._bytes > MOST_BYTES // 2 or self._packets > MOST_PACKETS // 2
 
     def put(self, packet: Packet) -> None:
@@ -111,7 +111,7 @@ class Inbox:
             self._wake()
 
     def take_ahead(self) -> Packet | None:
-        """Return the oldest of these frames, None if there is none."""
+        """Return the oldest kill or disarm of `put_ahead`, None if there is none."""
         if not self._ahead:
             return None
         packet = self._ahead.popleft()
@@ -153,19 +153,19 @@ class Inbox:
         return Packet(data, peer)
 
     def end(self, reason: LinkLost) -> None:
-        """End the queue; the first reason stays."""
+        """End the queue: once it is empty, `take` raises `reason`. A second call has no effect."""
         self._end = self._end or reason
         self._wake()
 
     def from_anywhere(self, call: Callable[[_Given], None], given: _Given) -> None:
-        """Call `put` or `end` from any thread or loop; nothing happens once the loop is gone."""
+        """Call `put` or `end` with `given`, from any thread or loop; do nothing once the queue's loop is closed."""
         if _running_loop() is self._loop:
             call(given)
         elif not self._loop.is_closed():
             self._loop.call_soon_threadsafe(call, given)
 
     def take(self) -> Packet | None:
-        """Return the next packet, None if there is none now. Raises LinkLost if none will come."""
+        """Return the next packet, None if there is none now. Raises LinkLost if the queue has ended and is empty."""
         packet = self.take_ahead()
         if packet is None and self._queues:
             packet = self._oldest(self._next())
@@ -176,7 +176,7 @@ class Inbox:
         return packet
 
     async def wait(self, timeout: float) -> Packet | None:
-        """Wait up to `timeout` [s] for the next packet; return None when that has passed. Raises LinkLost."""
+        """Wait up to `timeout` [s] for the next packet; return None if none comes. Raises LinkLost as `take`."""
         packet = self.take()
         if packet is not None or timeout <= 0:
             return packet
@@ -221,7 +221,7 @@ class Transport(ABC):
         self.counts = TransportCounts()
         self._inbox = Inbox(self.counts)
         self.keeps: Callable[[Hashable], bool] = lambda peer: False
-        """Function that tells whether a peer keeps its place in any case: the pilot's."""
+        """Function that returns True for a peer that must keep its place: the pilot's."""
         self.closed = False
         """Whether it was closed or lost."""
 
@@ -283,11 +283,11 @@ class Transport(ABC):
         self._inbox.stops_first = True
 
     def receive_ahead(self) -> Packet | None:
-        """Return the next of these frames, None if there is none."""
+        """Return the next kill or disarm that arrived, None if there is none."""
         return self._inbox.take_ahead()
 
     async def close(self) -> None:
-        """Close it now; a second call does nothing. A task that waits in `receive` gets LinkLost."""
+        """Close the link now; a second call does nothing. A task that waits in `receive` gets LinkLost."""
         self._lose("the link was closed")
         # Sockets are closed by the loop in its next round; a caller may end the loop right after this.
         await asyncio.sleep(0)

@@ -71,7 +71,7 @@ def open_memory(address: Address) -> MemoryTransport:
         there = _listening.get(place)
         if address.listens:
             if there is not None:
-                raise LinkError("is taken", place, "choose another name, or close the other")
+                raise LinkError("is taken", place, "choose another name, or close the link that has it")
             _listening[place] = transport = MemoryTransport(place, listens=True)
             return transport
         if there is None:

@@ -1,4 +1,4 @@
-"""TCP: to a host, or listening for several clients; a reader that cannot keep up stops its sender, not its memory."""
+"""TCP: to a host, or listening for several clients; a slow reader makes its sender wait and fills no memory."""
 
 import asyncio
 import socket
@@ -103,12 +103,12 @@ class TcpTransport(Transport):
 
     @property
     def peers(self) -> tuple[Hashable, ...]:
-        """The connections that stand."""
+        """The open connections."""
         return tuple(self._streams)
 
     @property
     def port(self) -> int:
-        """The port it listens on, 0 for a client."""
+        """The port that it listens on, 0 for a client."""
         return int(self._listening[0].getsockname()[1]) if self._listening else 0
 
     @property

@@ -38,7 +38,7 @@ ONE_IN = 256
 
 
 class FloodGuard:
-    """RefusalReason of peers that fill a socket faster than it is read; packets that look like a stop always pass.
+    """Guard that refuses peers that fill a socket faster than it is read; packets like a kill or disarm always pass.
 
     A flood is noticed when more than twice the content of the socket's buffer was read without finding it empty.
     `known` returns the peers that sent valid frames before.
@@ -58,13 +58,13 @@ class FloodGuard:
         self._until = 0.0
 
     def emptied(self) -> None:
-        """Start a new count; the socket was read empty."""
+        """Start a new count after the socket was read empty."""
         if self._left != self._most:
             self._packets.clear()
             self._left = self._most
 
     def passes(self, peer: Hashable, data: bytes) -> bool:
-        """Return whether to take a packet, and count it if so."""
+        """Return whether to accept a packet of `peer`, and count it if so."""
         if self._refuses is not None:
             if self._loop.time() > self._until:
                 self._refuses = None

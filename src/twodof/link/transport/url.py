@@ -82,8 +82,8 @@ def parse(url: str) -> Address:
 
     A listening form without a host listens on this machine only; `udpin://0.0.0.0:14550` listens on every interface.
     MAVProxy's short forms `udpin:HOST:PORT`, `udp:HOST:PORT` (listens, as there), `udpout:HOST:PORT`, `tcp:HOST:PORT`
-    and `/dev/NAME,BAUD` are taken too. `udp://HOST:PORT?bind=[HOST:]PORT` sends to the first, always, and listens at
-    the second. Raises LinkError for any other text.
+    and `/dev/NAME,BAUD` are accepted too. `udp://HOST:PORT?bind=[HOST:]PORT` always sends to the first address and
+    listens at the second. Raises LinkError for any other text.
     """
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is not a URL", "", f"use {FORMS}")
@@ -110,7 +110,7 @@ def parse(url: str) -> Address:
     bind_name, bind_port = _bound(url, parts.query, parts.hostname or "") if listens_too else ("", 0)
     if kind in ("mem", "memin"):
         if not _MEMORY_NAME.fullmatch(parts.netloc):
-            raise LinkError("has no name of letters, digits, '_', '.', '-'", url, "such as mem://drone-1")
+            raise LinkError("has no name of letters, digits, '_', '.', '-'", url, "write one such as mem://drone-1")
         return Address(kind, parts.netloc)
     if kind not in _NETWORK:
         raise LinkError(f"{shown(parts.scheme)} is not a kind of link", url, f"use {FORMS}")
@@ -118,7 +118,8 @@ def parse(url: str) -> Address:
     if kind in ("udp", "tcp") and not host:
         kind += "in"
     if kind == "udpbcast" and not host:
-        raise LinkError("has no host", url, "write udpbcast://255.255.255.255:14550, or a network's own such address")
+        remedy = "write udpbcast://255.255.255.255:14550, or the broadcast address of your network"
+        raise LinkError("has no host", url, remedy)
     if port is None or (port == 0 and not kind.endswith("in")):
         usual = {"udp": Ports.COMPANION_ONBOARD, "tcp": Ports.COMPANION_TCP}.get(kind, Ports.GROUND_STATION)
         raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:{usual}")
@@ -154,7 +155,7 @@ def _bound(url: str, query: str, host: str) -> tuple[str, int]:
         raise LinkError(f"{shown(text)} is not a place to listen at", url, "write ?bind=PORT or ?bind=HOST:PORT")
     if not parts.hostname and host not in HERE:
         what = f"listens on this machine only and cannot send to {host}"
-        raise LinkError(what, url, f"write ?bind=0.0.0.0:{port} to be open")
+        raise LinkError(what, url, f"to listen on every interface write ?bind=0.0.0.0:{port}")
     return parts.hostname or ("::1" if ":" in host else LOOPBACK), port
 
 
