@@ -174,4 +174,4 @@ def test_a_taken_port_is_named_if_no_drone_answers() -> None:
             asyncio.run(AsyncDrone.connect(f"udpin://127.0.0.1:{port}", timeout=0.3))
     assert str(port) in caught.value.where
     assert str(Ports.COMPANION_ONBOARD + number) in caught.value.what
-    assert "end who has it" in caught.value.remedy
+    assert "end the program that has it" in caught.value.remedy

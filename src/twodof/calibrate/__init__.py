@@ -1,4 +1,4 @@
-"""Calibrate: the `lab` rig from the logs of real flights: its parameters, its gusts, and what they let a FIT reach."""
+"""Calibration of the `lab` rig on logs of real flights: its parameters, its gusts, and the FIT that these allow."""
 
 from twodof.calibrate.calibration import (
     FLIGHTS,

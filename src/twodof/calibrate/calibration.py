@@ -1,8 +1,8 @@
-"""Calibrate: the `lab` rig from the logs of real flights, and how it fares on flights that were left out.
+"""Calibration of the `lab` rig on logs of real flights, and its FIT on flights that were left out.
 
 One set of parameters fits all flights in the least-squares sense: logged against simulated estimates, each channel over
-its own spread. The simulation is in closed loop and noise-free, over the windows of the logs' registry. What one flight
-alone cannot tell is held by a weak prior.
+its own spread. The simulation is in closed loop and noise-free, over the windows of the logs' registry. A weak prior
+holds the parameters that a single flight does not determine.
 
 The figures of flights that were left out are not wholly blind. The gains of the drone's estimator
 (`sim.drone_estimator.GAINS`) and the priors in `UNKNOWNS` were chosen on all seven logs. Each search starts from the
@@ -40,7 +40,7 @@ class ChargeEstimate:
     """The state of charge [0, 1] at the start of a flight's window, and its standard deviation.
 
     `at_bound` says that the estimate is 0 or 1: the flight had less or more thrust than the rig's battery allows, and
-    the deviation says nothing.
+    the deviation is meaningless.
     """
 
     charge: float
@@ -52,7 +52,7 @@ def estimate_charge(flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, fl
     """Return the charge with which the noise-free `rig` comes closest to the flight, each channel over its own spread.
 
     It uses the estimates *inside* the window, so the FIT with it is not a prediction. The rig's charge 1 is the mean of
-    the flights that it was calibrated on. The deviation takes misfits of one second as one (as `calibrate` does).
+    the flights that it was calibrated on. The deviation counts all misfits within a second as one (as `calibrate`).
     Raises IdentificationError if the charge leaves no trace in the flight.
     """
     from scipy.optimize import minimize_scalar  # imported late: most commands start without it
@@ -78,7 +78,7 @@ def estimate_charge(flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, fl
     curvature = float(slope @ slope)
     if not curvature > 0.0:
         raise IdentificationError(
-            "the charge leaves no trace in it", "charge", "take a flight with thrust, on a rig whose battery sags"
+            "the charge leaves no trace in the flight", "charge", "give one with thrust, on a rig whose battery sags"
         )
     blocks = range(0, len(residual), _BLOCK)
     push = np.array([slope[k : k + _BLOCK] @ residual[k : k + _BLOCK] for k in blocks])
@@ -88,7 +88,7 @@ def estimate_charge(flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, fl
 
 Array = NDArray[np.float64]
 CalibrationProgress = Callable[[str, float], None]
-"""Called with what is being done and the share of the whole work that is done, in [0, 1]."""
+"""Function that is called with the present task and the share of the whole work done, in [0, 1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ FLIGHTS: tuple[CalibrationFlight, ...] = (
     _flight("velocity-doublets-0.25", {"v": 1.0, "theta": 1.0, "x": 0.5, "q": 0.5}),
     _flight("position-sweep-default", {"x": 1.0, "v": 1.0, "theta": 0.5, "q": 0.5}),
 )
-"""The seven flights of the public registry, by its windows."""
+"""The seven public flights, each in the window that `flightlog.public_data` gives."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ UNKNOWNS: tuple[CalibratedUnknown, ...] = (
 )
 
 PRIOR_WEIGHT = 0.02
-"""Misfit (of a channel's spread) that a prior's standard deviation counts for."""
+"""Misfit, as a share of a channel's spread, that weighs as much as one standard deviation from a prior."""
 
 _DIFFERENCE = 0.02  # of a prior's standard deviation: above the steps that sticking makes in the misfit
 _TOLERANCE = 1e-5
@@ -170,7 +170,7 @@ _ITERATIONS = 30
 
 
 def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
-    """Return the rig parameters of `UNKNOWNS`, with the masses and the arm of the built-in table."""
+    """Convert values of `UNKNOWNS`, by name, to rig parameters, with the masses and the arm of the built-in table."""
     built = {row.name: row.default for row in TABLE}
     mass = built["mass_drone"] + built["mass_cart"]
     u = unknowns
@@ -203,11 +203,11 @@ def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
 class Calibration:
     """Result of a calibration.
 
-    `rig` is the set; `estimate` and `deviation` the unknowns and their standard deviations (robust to misfits that are
-    coloured over a second, as turbulence is); `fit[flight][channel]` [%] on all flights; `left_out[flight][channel]`
-    [%] of each flight by the set calibrated on the others. `ceiling[flight][channel]` [%] is what the gusts of `rig`
-    leave to be predicted (`gust_ceiling`). Both are empty if not asked for. `converged` says that no further
-    step promised a relative decrease of the misfit by 1e-5.
+    `rig` is the calibrated set of parameters. `estimate` and `deviation` are the unknowns and their standard deviations
+    (robust to misfits that are coloured over a second, as turbulence is). `fit[flight][channel]` is the FIT [%] of
+    `rig` on all flights, `left_out[flight][channel]` [%] that on each flight of a set calibrated on the others.
+    `ceiling[flight][channel]` [%] is the FIT that the gusts of `rig` allow (`gust_ceiling`). The last two are empty
+    without `leave_one_out`. `converged` says that no further step promised a relative decrease of the misfit by 1e-5.
     """
 
     rig: ParameterSet
@@ -233,9 +233,9 @@ def calibrate(
     progress: CalibrationProgress | None = None,
     flights: Sequence[CalibrationFlight] = FLIGHTS,
 ) -> Calibration:
-    """Calibrates the `lab` rig on the logs in `folder`, and each time on all but one if `leave_one_out`.
+    """Calibrate the `lab` rig on the logs in `folder` and, if `leave_one_out`, also on all flights but each one.
 
-    `progress` is called often; what it raises ends the calibration. Raises LogError for a missing or broken log,
+    `progress` is called often; an exception from it ends the calibration. Raises LogError for a missing or broken log,
     IdentificationError without a flight.
     """
     if not flights:
@@ -342,7 +342,7 @@ def _solve(
 
 
 def _covariance(jac: Array, residual: Array, priors: int) -> Array:
-    """Of the unknowns, from the Jacobian (n, k) and the residual (n,). Their first `priors` rows are the priors.
+    """Return the unknowns' covariance from the Jacobian (n, k) and the residual (n,), whose first rows are the priors.
 
     The sandwich estimator with the misfits of each block of samples taken as one (Newey and West, Econometrica 55-3,
     1987, with blocks in place of lags).

@@ -1,6 +1,6 @@
-"""Gusts: how strong and how slow the turbulence is that moves a hovering drone, from the level holds of its logs.
+"""Gusts: size and correlation time of the turbulence around a hovering drone, from the level holds in its logs.
 
-The pitch acceleration that the rotors, the stiffness and friction do not explain is the gust's, and the noise of q:
+The pitch acceleration d that rotors, stiffness and friction do not explain is that of the gusts and the noise of q:
 
     d = q' - M_rot / J + k theta + c q
 
@@ -35,7 +35,7 @@ LOWEST, HIGHEST = 0.3, 8.0
 """Band of the fit [Hz]."""
 
 SHORTEST = 1.0
-"""Shortest stretch of a hold [s]."""
+"""Shortest stretch of level flight that is accepted [s]."""
 
 _LONGER = 10.0  # times the correlation time, that the longest stretch must last
 _TICK = 1e-3
@@ -45,7 +45,7 @@ _STARTS = (0.05, 0.15, 0.4)  # s
 
 @dataclass(frozen=True)
 class HoverHold:
-    """Where a log holds the pitch level or the cart in place: its `stretches` [s], and whether the cart is free."""
+    """Stretches (start, end) [s] of a log in which the drone hovers level or in place; `free`: the cart can move."""
 
     name: str
     stretches: tuple[tuple[float, float], ...]
@@ -76,11 +76,11 @@ class GustEstimate:
 def measure_gusts(
     log: FlightLog | str | Path, stretches: Sequence[tuple[float, float]], rig: Mapping[str, float], free: bool = False
 ) -> GustEstimate:
-    """Return the gusts in the `stretches` [s] of level flight of a log, by the rotors and stiffness of `rig`.
+    """Return the gusts in the `stretches` (start, end) [s] of level flight of a log, with the parameters of `rig`.
 
-    `free` says that the cart is not locked; its answer to the pitch then halves the stiffness about. On the simulated
-    `lab` rig with gusts of 1.8 rad/s2 and .1 s, 20 s of hold give 1.70 +- .10 and .11 +- .03: 5 % too little. Raises
-    LogError for a log that cannot be read or lacks q, theta, M or T; IdentificationError for a stretch below 1 s.
+    `free` says that the cart is not locked; its motion then about halves the stiffness. On the simulated `lab` rig with
+    gusts of 1.8 rad/s2 and .1 s, 20 s of hold give 1.70 +- .10 and .11 +- .03: 5 % too little. Raises LogError for a
+    log that cannot be read or lacks q, theta, M or T; IdentificationError for a stretch below 1 s.
     """
     from scipy.optimize import minimize  # imported late: most commands start without it
 
@@ -103,7 +103,7 @@ def measure_gusts(
     gust, time, noise = (float(value) for value in np.exp(found.x))
     if not time * _LONGER < max(b - a for a, b in stretches):
         raise IdentificationError(
-            f"a correlation time of {time:.2g} s in stretches of {max(b - a for a, b in stretches):.2g} s",
+            f"the stretches, at most {max(b - a for a, b in stretches):.2g} s, are too short for gusts of {time:.2g} s",
             log.source,
             "give longer stretches of level flight",
         )
@@ -111,12 +111,14 @@ def measure_gusts(
 
 
 def _disturbance(log: FlightLog, t0: float, t1: float, rig: Mapping[str, float], free: bool) -> tuple[Array, float]:
-    """(d between the samples of q in a stretch, their period by the drone's clock)."""
+    """Return d between the samples of q in a stretch, and the period of the samples by the drone's clock [s]."""
     q, theta = log["q"], log["theta"]
     stamps = q.slice(t0, t1).time
     if not (t1 - t0 >= SHORTEST and len(stamps) >= 0.5 * SHORTEST / PERIOD):
         raise IdentificationError(
-            f"{len(stamps)} samples of q from {t0:g} to {t1:g} s", log.source, f"give stretches of {SHORTEST:g} s"
+            f"only {len(stamps)} samples of q from {t0:g} to {t1:g} s",
+            log.source,
+            f"give stretches of {SHORTEST:g} s or more",
         )
     index = np.concatenate(([0.0], np.cumsum(np.round(np.diff(stamps) / PERIOD))))
     period, origin = (float(value) for value in np.polyfit(index, stamps, 1))
@@ -150,7 +152,7 @@ def _acceleration(log: FlightLog, time: Array, rig: Mapping[str, float]) -> Arra
 
 
 def _spectrum(d: Array, period: float) -> tuple[Array, Array]:
-    """(frequencies [Hz] in the band, two-sided power density there), by a Hann window."""
+    """Return frequencies [Hz] in the band and the two-sided power density there, with a Hann window."""
     window = np.hanning(len(d))
     density = np.abs(np.fft.rfft((d - d.mean()) * window)) ** 2 * period / float(window @ window)
     frequency = np.fft.rfftfreq(len(d), period)
@@ -159,19 +161,19 @@ def _spectrum(d: Array, period: float) -> tuple[Array, Array]:
 
 
 SEEDS = 20
-"""Flights with noise that the median is taken of."""
+"""Number of simulated flights with noise over which the median is taken."""
 
 
 def gust_fits(
     flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, float], seeds: int = SEEDS
 ) -> dict[str, NDArray[np.float64]]:
-    """FIT [%], by channel (seeds,), of the noise-free flight of `rig` to flights of the same rig with its noise.
+    """Return the FIT [%], by channel (seeds,), of the noise-free flight of `rig` to its flights with noise.
 
     Each noisy flight stands for a log, and the noise-free one for a model without an error. Gusts, vibration and the
     sensors' noise are those of `rig`. `loop` is one of `resimulation_loop`. Raises IdentificationError below one seed.
     """
     if seeds < 1:
-        raise IdentificationError(f"{seeds} seeds", "gust ceiling", "fly at least one")
+        raise IdentificationError(f"{seeds} seeds are too few", "gust ceiling", "give at least one")
     model = flight.simulate(loop, rig)
     flown = [flight.simulate(loop, rig, {"noise": 1.0, "seed": seed}) for seed in range(1, seeds + 1)]
     return {name: np.array([fit_percent(noisy[name], values) for noisy in flown]) for name, values in model.items()}
@@ -180,5 +182,5 @@ def gust_fits(
 def gust_ceiling(
     flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, float], seeds: int = SEEDS
 ) -> dict[str, float]:
-    """Return the median of `gust_fits` by channel [%]. In open loop single flights are far from it."""
+    """Return the median of `gust_fits` by channel [%]. In open loop single flights differ much from it."""
     return {name: float(np.median(fits)) for name, fits in gust_fits(flight, loop, rig, seeds).items()}

@@ -34,12 +34,12 @@ from twodof.signals import TICK_MS
 
 
 class MavlinkServices:
-    """The services of one vehicle, in the order in which they get messages; made once, then `services`.
+    """The MAVLink services of one vehicle, in the order in which they get messages.
 
-    `commands.on`, `requests.on` and `telemetry` are open to further services, such as log download.
+    Further services, such as log download, register with `commands.on`, `requests.on` and `telemetry`.
 
-    `restart` begins the flight controller anew (command 246). `identity` says which controller flies. `lost` counts
-    what clients did not take. `truth` is the virtual rig's state.
+    `restart` restarts the flight controller (command 246). `identity` returns the active controller, `lost` the number
+    of messages that clients did not take, `truth` the true state of a virtual rig.
     """
 
     def __init__(
@@ -78,13 +78,13 @@ class MavlinkServices:
 
 
 class ActiveConfiguration:
-    """Builds the flight code from `controllers`, and keeps its parameters at the values of `store`.
+    """The flight code that flies, built from `controllers`, with its parameters kept at the values of `store`.
 
-    `remarks` says in words what could not be taken over. `fresh` begins without uploads, and with all defaults.
+    `remarks` says what of the stored values could not be used. `fresh` starts without uploads and with all defaults.
     """
 
     def __init__(self, controllers: Controllers, store: ParameterStore, fresh: bool = False) -> None:
-        """Build the flight code. Raises as `Controllers.build`, and DiagramError where uploads cannot be forgotten."""
+        """Build the flight code. Raises as `Controllers.build`, and DiagramError if uploads cannot be deleted."""
         if fresh:
             controllers.forget()
         self.code, damage = controllers.build()
@@ -100,12 +100,12 @@ class ActiveConfiguration:
         self._counted = (-1, 0)  # a revision of the store, and how many parameters differ from their defaults in it
 
     def attach(self, controller: FlightController) -> None:
-        """Let each change of the store fly in `controller`, before its next tick."""
+        """Apply each change of the store to the flight code of `controller` before its next tick."""
         self._controller = controller
         self._store.bus.subscribe(ParametersChanged, self._fly_changes)
 
     def fly_replaced(self) -> list[str]:
-        """List the parameters of the users' controllers in another flight code. Return remarks for the clients."""
+        """List the parameters of the users' controllers in a new flight code; return remarks for the clients."""
         self.code = self._controller.code
         remarks = self._store.carry(self.code.user_parameters)
         own = self._store.user_values()
@@ -115,7 +115,7 @@ class ActiveConfiguration:
 
     @property
     def identity(self) -> ControllerIdentity:
-        """Return which controller flies, and how many parameters differ from their defaults."""
+        """Return the active controller, and the number of parameters that differ from their defaults."""
         code = self._controller.code
         if self._named[0] is not code:
             self._named = (code, controller_identity(code))
@@ -131,17 +131,17 @@ class ActiveConfiguration:
             self._controller.code.set_parameters(changed)
 
     def _hidden(self) -> list[str]:
-        """Return remarks on the users' parameters that are not shown."""
+        """Return remarks on parameters of the users' controllers that are not in the list."""
         return [one.remark for one in self.code.user_parameters if one.remark]
 
 
 class Assembly:
     """The program of a drone: MAVLink system `system` on `hardware`.
 
-    `state` is the folder of what it keeps: parameters.json, logs/, controllers/ (uploads); None keeps nothing.
-    `rates` are those of the streams that every client gets (link/mavlink/dialect.py). `signing` is asked of every
-    client. `fresh` begins with all parameters at their defaults and without uploads. `close` ends what runs outside
-    the event loop; the server closes by itself.
+    `state` is the folder for parameters.json, logs/ and controllers/ (uploads); None keeps nothing. `rates` are those
+    of the streams that every client gets (link/mavlink/dialect.py). `signing` is required of every client. `fresh`
+    starts with all parameters at their defaults and without uploads. `close` ends the parts that run outside the event
+    loop; the server closes by itself.
     """
 
     def __init__(
@@ -206,11 +206,11 @@ class Assembly:
         ]
 
     def close(self) -> None:
-        """Write parameters and log to the disk, and end. Raises ParameterError or LogError where the disk refuses."""
+        """Write parameters and log to the disk, and end. Raises ParameterError or LogError if the disk refuses."""
         self._closing.close()
 
     def _replaced(self) -> None:
-        """Take over the parameters of the uploaded controllers, which fly from the next tick on."""
+        """List the parameters of the uploaded controllers, which fly from the next tick on."""
         self._say(self.configuration.fly_replaced())
 
     def _say(self, remarks: Iterable[str]) -> None:

@@ -1,4 +1,4 @@
-"""The flight controller's shell: links in and out, the control loop in real time or as it is granted, a clean end."""
+"""The flight controller's server: its links, the control loop in real time or in lockstep, and a clean end."""
 
 import asyncio
 import gc
@@ -21,39 +21,39 @@ from twodof.link.transport.url import parse
 from twodof.signals import TICK_NS
 
 RESPONSIVE_S = 0.004
-"""In lockstep the loop lets others run after so much work [s]."""
+"""Longest work of the loop in lockstep before other tasks run [s]."""
 
 TURN_S = 0.0005
-"""A link that is flooded lets others run, the control loop above all, after so much work [s]."""
+"""Longest work of a flooded link before other tasks run, above all the control loop [s]."""
 
 REOPEN_S = 0.5
-"""Between attempts to open a link again that was lost."""
+"""Time between attempts to open a lost link again [s]."""
 
 WAIT_S = 60.0
-"""A link is waited for so long at a time."""
+"""Longest wait for a packet in one call [s]."""
 
 IDLE_S = 1.0
-"""In lockstep, time that stands still for so long [s] is noticed."""
+"""Time without a tick in lockstep after which `idle` is called [s]."""
 
 PEERS_TICKS = 25
-"""Periods between looks at who has gone."""
+"""Periods between searches for peers that have gone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A peer of one of the links: what `Received.peer` holds and `Server.send` takes."""
+    """A peer on one of the links, in `Received.peer` and for `Server.send`."""
 
     connection: Connection
     there: Hashable
 
 
 class Server:
-    """Speaks for `controller` as MAVLink system `system`, component 1, over any number of links.
+    """Server of `controller` as MAVLink system `system`, component 1, over any number of links.
 
-    `services` get each message in their order, until one takes it, and each step. The place of the `pilot`, who
-    commands, on a link goes to nobody else. A fault in one ends `run` with it:
-    motors off is the safe state, half a program is not. Use it as a context manager: leaving it stops the motors and
-    closes the links.
+    `services` get each message in their order, until one consumes it, and each step. A link never gives the place of
+    the `pilot`, the client that commands, to another. A fault in a service ends `run` with its exception: motors off is
+    the safe state, half a program is not. Use the server as a context manager: leaving it stops the motors and closes
+    the links.
     """
 
     def __init__(
@@ -103,11 +103,11 @@ class Server:
 
     @property
     def lost(self) -> int:
-        """Return the number of messages lost to full queues, closed links and values that fit no field."""
+        """Return the number of messages lost to full queues, closed links and values that do not fit their fields."""
         return self._dropped + sum(connection.transport.counts.dropped_out for connection in self.connections)
 
     async def run(self) -> None:
-        """Run until it is cancelled; raises any exception of the control loop or a service."""
+        """Run until cancelled. Raises the first exception of the control loop or a service."""
         time_passes = self._watch_time if self.controller.lockstep else self._run_real_time
         loop = asyncio.create_task(time_passes(), name="control loop")
         loop.add_done_callback(lambda _: self._failed.set())
@@ -160,7 +160,7 @@ class Server:
             pacer.close()
 
     async def _watch_time(self) -> None:
-        """Watch in lockstep for time that stands still, as it runs where grants come in."""
+        """Call `idle` of the services in lockstep while time stands still."""
         while True:
             tick = self.controller.tick
             await asyncio.sleep(IDLE_S)

@@ -442,8 +442,8 @@ def test_the_effort_of_a_multisine_is_its_cosines(
     with pytest.raises(ExperimentError) as refused:
         prepare(json.dumps(just | {over: just[over] + 0.1}).encode())
     assert str(refused.value) == (
-        "multisine: 1e+08 cosines are too many to be written out on board"
-        " (take fewer or lower harmonics, or less time: 1e+08 can be)"
+        "multisine: 1e+08 cosines are too many to be computed on board"
+        " (give fewer or lower harmonics, or less time: at most 1e+08 cosines)"
     )
 
 

@@ -98,8 +98,8 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     f"lease refused: {WHO} it": (lambda: armed().commander.lease.ask(OTHER), REJECTED),
     f"lease not given up: {WHO} it": (lambda: armed().commander.lease.give_up(OTHER), REJECTED),
     "lease not given up: nobody holds it": (lambda: on_the_ground().commander.lease.give_up(ME), REJECTED),
-    "command refused: it has no sender": (lambda: on_the_ground().commander.lease.take((0, 190)), MavResult.DENIED),
-    "lease refused: it has no sender": (lambda: on_the_ground().commander.lease.ask((0, 0)), MavResult.DENIED),
+    "command refused: the sender's MAVLink system is 0": (lambda: on_the_ground().commander.lease.take((0, 190)), MavResult.DENIED),
+    "lease refused: the sender's MAVLink system is 0": (lambda: on_the_ground().commander.lease.ask((0, 0)), MavResult.DENIED),
     # Arming.
     "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arming.arm(ME), REJECTED),
     "not armed: imu_lost, tilted": (
@@ -116,7 +116,7 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
         lambda: armed(rig=Rig(rings=True)).commander.set_mode(ME, modes.POSITION),
         MavResult.DENIED,
     ),
-    "mode offboard wants set-points above 2 Hz first": (
+    "mode offboard needs set-points above 2 Hz first": (
         lambda: armed().commander.set_mode(ME, modes.OFFBOARD),
         REJECTED,
     ),
@@ -129,11 +129,11 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
         lambda: armed(rig=Rig(rings=True)).commander.setpoint(ME, SetPoint(POSITION, x0=0.1)),
         MavResult.DENIED,
     ),
-    "set-point refused: too many wait, or it is more than a minute ahead": (too_far, MavResult.DENIED),
+    "set-point refused: too many wait, or its time is more than a minute ahead": (too_far, MavResult.DENIED),
     "set-point refused: a stick is beyond its end": (lambda: armed().commander.sticks(ME, 0.0, 1.01), MavResult.DENIED),
     # Excitations.
-    "excitation refused: another plays": (lambda: started(playing(), transfer=8), REJECTED),
-    "excitation refused: another plays ": (lambda: playing().commander.excitation.define(ME, 8, PULSE), REJECTED),
+    "excitation refused: another one plays": (lambda: started(playing(), transfer=8), REJECTED),
+    "excitation refused: another one plays ": (lambda: playing().commander.excitation.define(ME, 8, PULSE), REJECTED),
     "excitation refused: there is no definition 8, whole and not yet played": (
         lambda: started(ready(), transfer=8),
         REJECTED,

@@ -125,7 +125,7 @@ class Real(VirtualRig):
 def test_a_real_rig_cannot_begin_again() -> None:
     made = FlightController(Real(lab()), FlightCode(), Script())
     made.step()
-    with pytest.raises(ParameterError, match=r"lab.*: a real rig cannot begin again \(place it by hand\)"):
+    with pytest.raises(ParameterError, match=r"lab.*: a real rig cannot be reset \(place it by hand\)"):
         made.reset()
     assert made.tick == 1
 

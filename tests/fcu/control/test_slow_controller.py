@@ -90,7 +90,7 @@ def test_in_flight_it_is_disbelieved_once_and_the_stock_controller_levels(slow: 
     assert abs(after[-1].theta) < 0.03
     said = [text for _, text in made.remarks]
     assert said == [
-        "controller stopped: lqr_attitude took 7.0 ms of the processor for a step, and 2 ms are there for it"
+        "controller stopped: lqr_attitude took 7.0 ms of the processor for a step, at most 2 ms are allowed"
     ]
     assert made.timing.overruns == 1
     assert REMEDY not in said[0]

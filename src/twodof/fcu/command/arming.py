@@ -1,4 +1,4 @@
-"""Arming, disarming and the kill: what the failsafe is told, and its answer."""
+"""Arming, disarming and the kill: requests to the failsafe, and its answers."""
 
 from collections.abc import Callable
 
@@ -11,15 +11,15 @@ from twodof.link.mavlink import modes
 from twodof.link.mavlink.dialect import MavResult, MavSeverity
 
 PATIENCE = 25
-"""Ticks within which the failsafe has answered; it does in the tick in which it is asked."""
+"""Ticks to wait for the failsafe's answer, which comes in the tick of the request."""
 
 
 class ArmingControl:
-    """Decides whether the drone arms, and stops it for everybody who asks.
+    """Arming of the drone under conditions, and its disarming and kill by any sender.
 
-    `word` is what the flight code is told, `answer` the result of the last request to arm. `killed_by` is who killed
-    the drone, None: nobody. A kill holds it disarmed, over disarmings and resets, until it is released. `unfit` says
-    what else speaks against arming, "" if nothing.
+    `word` is the arm input of the flight code, `answer` the result of the last request to arm. `killed_by` is the
+    sender of a kill, None without one. A kill keeps the drone disarmed, over disarmings and resets, until it is
+    released. `unfit` returns a further reason against arming, "" if there is none.
     """
 
     def __init__(
@@ -41,27 +41,27 @@ class ArmingControl:
 
     @property
     def pending(self) -> bool:
-        """Return whether the failsafe still owes an answer."""
+        """Return whether the failsafe has not answered a request to arm yet."""
         return self.answer.in_progress
 
     @property
     def flies(self) -> bool:
-        """Return whether it is armed, and not asked to disarm: only then a set-point acts."""
+        """Return whether the drone is armed and no disarming is requested: only then a set-point acts."""
         return self._vehicle.armed and self.word
 
     @property
     def missing(self) -> int | None:
-        """Return the failsafe's causes against arming, None before its first step. A command cures a lost link."""
+        """Return the mask of the failsafe's causes against arming, without a link that is alive; None before a step."""
         step = self._vehicle.step
         if step is None:
             return None
         return step.causes & ~BIT["link_lost"] if self.lease.link_alive else step.causes
 
     def arm(self, source: Source, repeated: bool = False) -> CommandResult:
-        """Ask the failsafe to arm; IN_PROGRESS if nothing speaks against it: `answer` has the answer a tick later.
+        """Ask the failsafe to arm. Return IN_PROGRESS if nothing is against it; a tick later `answer` has the result.
 
-        A new request acknowledges that the failsafe has stopped the motors; one that is `repeated`, sent again for want
-        of an answer, is of before the stop and does not.
+        A new request acknowledges an earlier stop by the failsafe. A `repeated` one, sent again for want of an answer,
+        may be older than the stop and does not.
         """
         result = self.lease.take(source, "arming")
         if not result.accepted:
@@ -71,14 +71,14 @@ class ArmingControl:
         if self.flies:
             return DONE
         if self.word and repeated:
-            return rejected("not armed: the failsafe has stopped the motors, arm anew")
+            return rejected("not armed: the failsafe has stopped the motors, arm again")
         if against := self.obstacles():
             return rejected(f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
         return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
 
     def disarm(self, source: Source) -> CommandResult:
-        """Stop the motors in the next tick for every source: on this rig that is the safe state."""
+        """Stop the motors in the next tick, whatever the source: on this rig that is the safe state."""
         if self.lease.holder == source:
             self.lease.take(source)  # which renews it
         self.withdraw()
@@ -86,7 +86,7 @@ class ArmingControl:
         return DONE
 
     def kill(self, source: Source) -> CommandResult:
-        """Stop the motors in the next tick for every source, and hold the drone disarmed until `release`."""
+        """Stop the motors in the next tick, whatever the source, and keep the drone disarmed until `release`."""
         self.killed_by = source
         self.withdraw()
         self.setpoints.rest("killed", self._vehicle.now)
@@ -94,7 +94,7 @@ class ArmingControl:
         return DONE
 
     def release(self, source: Source) -> CommandResult:
-        """Take a kill back, which a disarming does not, since every program disarms at its end. It arms nothing."""
+        """End a kill, without arming; a disarming does not end it, since every program disarms at its end."""
         result = self.lease.take(source, "release")
         if result.accepted and self.killed_by is not None:
             self.killed_by = None
@@ -102,30 +102,30 @@ class ArmingControl:
         return result
 
     def stand(self, why: str, tick: int) -> None:
-        """Stop the motors without a command."""
+        """Stop the motors at `tick` without a command, and tell the clients `why`."""
         self.withdraw()
         self.setpoints.rest(why, tick)
         self._vehicle.remark(MavSeverity.CRITICAL, why)
 
     def pull(self, tick: int) -> CommandResult:
-        """Ask the failsafe to arm at `tick`. It acts on an edge: until then the word is not given."""
+        """Ask the failsafe to arm at `tick`. It acts on a rising edge of `word`, which is False until then."""
         self._from = tick
         self.word = False
         self.answer = CommandResult(MavResult.IN_PROGRESS)
         return self.answer
 
     def speak(self, tick: int) -> None:
-        """Give the word once its tick has come; called before each tick while an answer is pending."""
+        """Set `word` once its tick has come; called before each tick while an answer is pending."""
         self.word = tick >= self._from
 
     def withdraw(self) -> None:
-        """Take the word back; a pending arming fails."""
+        """Clear `word`; a pending arming fails."""
         self.word = False
         if self.pending:
             self.answer = failed("disarmed before it had armed")
 
     def seen(self, step: ControlStep) -> None:
-        """Take the failsafe's answer; called after each tick while one is pending."""
+        """Read the failsafe's answer from a step; called after each tick while one is pending."""
         if step.tick < self._from:
             return
         if step.state in MAY_TURN:
@@ -140,7 +140,7 @@ class ArmingControl:
             self.answer = failed("not armed: the flight code did not answer")
 
     def obstacles(self) -> str:
-        """Return what speaks against arming a drone that is not armed, "" if nothing does."""
+        """Return the reasons against arming a drone that is disarmed, "" if there are none."""
         return self._against_arming() or self._unfit()
 
     def _against_arming(self) -> str:
@@ -151,7 +151,7 @@ class ArmingControl:
         # After a stop some causes last until it is disarmed, as a request to arm does: the failsafe judges then.
         causes = 0 if self.word else self.missing
         if causes is None:
-            return "no sensor was heard yet"
+            return "no sensor has sent a sample yet"
         if not rig.safety_off:
             return "safety switch, press it"
         names = dict.fromkeys(named_causes(causes))

@@ -1,4 +1,4 @@
-"""The lease: who may command, and whether the drone hears it. The rules are those of docs/reference/protocol.md."""
+"""The lease of the client that may command, and the watch on its link. The rules: docs/reference/protocol.md."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,11 +12,11 @@ from twodof.link.mavlink.dialect import MavResult, MavSeverity
 from twodof.signals import PERIOD
 
 Source = tuple[int, int]
-"""Who sent a message: MAVLink system and component."""
+"""Sender of a message: MAVLink system and component."""
 
 
 class CommandResult(NamedTuple):
-    """The answer to a command: a MAV_RESULT, and why it was refused, as a `text` for people and a code for programs."""
+    """Answer to a command: a MAV_RESULT, and the reason for a refusal, a `text` for people and a code for programs."""
 
     result: MavResult
     text: str = ""
@@ -24,7 +24,7 @@ class CommandResult(NamedTuple):
 
     @property
     def accepted(self) -> bool:
-        """Return whether it was done."""
+        """Return whether the command was carried out."""
         return self.result == MavResult.ACCEPTED
 
     @property
@@ -37,22 +37,22 @@ DONE = CommandResult(MavResult.ACCEPTED)
 
 
 def denied(text: str = "", reason: RefusalReason = RefusalReason.OTHER) -> CommandResult:
-    """Return the answer to what makes no sense, now or later."""
+    """Return the refusal of a command that is never valid, such as one with a wrong number."""
     return CommandResult(MavResult.DENIED, text, reason)
 
 
 def rejected(text: str, reason: RefusalReason = RefusalReason.OTHER) -> CommandResult:
-    """Return the answer to what cannot be done now."""
+    """Return the refusal of a command that cannot be carried out now."""
     return CommandResult(MavResult.TEMPORARILY_REJECTED, text, reason)
 
 
 def failed(text: str = "") -> CommandResult:
-    """Return the answer to what was tried and did not succeed."""
+    """Return the answer to a command that was tried and failed."""
     return CommandResult(MavResult.FAILED, text)
 
 
 def unsupported(text: str = "") -> CommandResult:
-    """Return the answer to what the drone does not do."""
+    """Return the answer to a command that this drone does not have."""
     return CommandResult(MavResult.UNSUPPORTED, text)
 
 
@@ -60,15 +60,15 @@ ACTING = (LEVEL, BRAKE, DESCEND)
 """States in which the failsafe flies."""
 
 MOST_REMARKS = 64
-"""Remarks that are kept if nobody takes them."""
+"""Most remarks that wait to be sent."""
 
 
 @dataclass
 class VehicleState:
-    """The hardware's switches (`rig`), the last `step` (None: none yet), and what the failsafe said in it.
+    """State of the vehicle that commands depend on: switches of `rig`, the last `step` (None: none yet), the failsafe.
 
-    `now` is the first tick that was not asked for yet: a command acts there. `failsafe` is the failsafe's state.
-    `remarks` are (MAV_SEVERITY, text) pairs for the clients.
+    `now` is the next tick to be run, in which a command acts. `failsafe` is the failsafe's state. `remarks` are
+    (MAV_SEVERITY, text) pairs for the clients.
     """
 
     rig: Hardware
@@ -80,11 +80,11 @@ class VehicleState:
 
     @property
     def failsafe_acts(self) -> bool:
-        """Return whether the failsafe flies, and not the set-points."""
+        """Return whether the failsafe flies the drone instead of the set-points."""
         return self.failsafe in ACTING
 
     def remark(self, severity: int, text: str) -> None:
-        """Tell the clients `text`, with a MAV_SEVERITY."""
+        """Send the clients `text` with a MAV_SEVERITY."""
         if len(self.remarks) < MOST_REMARKS:
             self.remarks.append((severity, text))
 
@@ -100,24 +100,24 @@ HEARD = round(3.0 / PERIOD)
 """Ticks after the holder's last frame of any kind for which it keeps the lease while armed."""
 
 LONGEST = round(30.0 / PERIOD)
-"""Most ticks that a lease is asked for at once."""
+"""Most ticks for which a lease is granted at once."""
 
 
 class CommandLease:
-    """One `holder` at most (None: nobody); its lease ends by itself when it falls silent.
+    """Lease of the right to command, with one `holder` at most (None: free); it ends when the holder falls silent.
 
-    A sender is one whose system is not 0; its component may be, as that of many a script is, and PX4 takes those too.
-    `what` a sender wanted is named in a refusal. `revision` counts the changes of holder; `changed` is called at each.
+    A sender's system must not be 0; its component may be, as in many scripts, which PX4 accepts too. `what` in the
+    methods names the request in a refusal. `revision` counts the changes of holder; `changed` is called at each.
 
-    `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other
-    client keeps the link alive: the drone is without its pilot, also where others listen.
+    `orphaned`: the holder fell silent or gave the lease up while armed, and no other client has taken it since. Then
+    frames of other clients do not keep the link alive, because the drone has no pilot.
 
-    With `granted` the time that passes was granted by the holder, so the link is alive in every tick. Where time
-    stands still until then (`stands`), a dead holder would hold the lease for ever. So another may take it after
-    `HEARD` ticks of standing time without a word of the holder. Until another does, nothing changes: a flight must not
-    depend on how long a client thinks.
+    With `granted` (lockstep) the holder grants the time that passes, so the link is alive in every tick. While time
+    stands still (`stands`), a dead holder would keep the lease for ever. So another client may take it after `HEARD`
+    ticks of standing time without a frame of the holder. Until then nothing changes: a flight must not depend on how
+    long a client thinks.
 
-    `tuning_withheld`: nobody but the holder may change parameters.
+    `tuning_withheld`: only the holder may change parameters.
     """
 
     def __init__(self, vehicle: VehicleState, granted: bool, changed: Callable[[], None]) -> None:
@@ -140,16 +140,16 @@ class CommandLease:
 
     @property
     def left(self) -> int:
-        """Return the ticks until it ends if nothing more is heard; 0 without a holder."""
+        """Return the ticks until the lease ends if the holder stays silent; 0 without a holder."""
         if self.holder is None:
             return 0
         left = self._end() - self._vehicle.now
         return max(0, min(left, HEARD - self._stood) if self._stood else left)
 
     def hear(self, source: Source, is_client: bool) -> None:
-        """Note a frame: the holder's keeps the link alive, and without a holder any client's does.
+        """Note a frame of `source`. The holder's frames keep the link alive; without a holder, those of any client.
 
-        `is_client`: it is of a ground station or companion, not of a vehicle.
+        `is_client`: the source is a ground station or a companion, not a vehicle.
         """
         if self.holder is None:
             self._link_heard |= is_client and not self.orphaned
@@ -158,19 +158,19 @@ class CommandLease:
             self._link_heard = True
 
     def take(self, source: Source, what: str = "command") -> CommandResult:
-        """Take or renew the lease for a command of `source`; refused while another holds it."""
+        """Take or renew the lease for a command of `source`; refuse it while another client holds the lease."""
         result = self._claim(source, f"{what} refused", "the lease")
         if result.accepted:
             self._until = max(self._until, self._vehicle.now + COMMANDING)
         return result
 
     def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
-        """Allow `source` to change parameters, unless the holder withholds it.
+        """Allow `source` to change parameters, unless another client withholds tuning.
 
-        It takes no lease; that of its holder it renews.
+        This does not take the lease, but renews it for its holder.
         """
         if not source[0]:
-            return denied(f"{what} refused: it has no sender")
+            return denied(f"{what} refused: the sender's MAVLink system is 0")
         if self.holder == source:
             return self.take(source, what)
         if self.tuning_withheld:
@@ -178,14 +178,14 @@ class CommandLease:
         return DONE
 
     def tuned(self, source: Source, what: str) -> None:
-        """Tell the clients `what` was changed, if `source` does not hold the lease."""
+        """Tell the clients about a change, `what`, by `source`, unless `source` holds the lease or it is free."""
         if self.holder not in (None, source):
             self._vehicle.remark(MavSeverity.INFO, f"{what}, by system {source[0]}, component {source[1]}")
 
     def ask(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
-        """Take the lease, or renew it, for 30 s at most (0: 2 s); refused while another holds it.
+        """Take or renew the lease for `duration_ms`, 30 s at most (0: 2 s); refuse it while another client holds it.
 
-        `withhold_tuning`: until it is renewed without that, or ends, nobody else may change parameters.
+        `withhold_tuning`: other clients may not change parameters until the lease ends or is renewed without it.
         """
         result = self._claim(source, "lease refused", "it")
         if result.accepted:
@@ -195,14 +195,14 @@ class CommandLease:
         return result
 
     def give_up(self, source: Source) -> CommandResult:
-        """Free the lease; refused to all but its holder."""
+        """Give up the lease; refuse this to all but its holder."""
         if self.holder != source:
             return rejected(f"lease not given up: {self._who()} holds it", RefusalReason.LEASE)
         self._free()
         return DONE
 
     def pass_tick(self) -> None:
-        """Begin a tick: frames of before no longer count, and the lease may end."""
+        """Begin a tick: earlier frames no longer count for the link, and the lease may end."""
         self._link_heard = False
         if self._granted:
             self._last_heard, self._stood = self._vehicle.now - 1, 0
@@ -222,11 +222,11 @@ class CommandLease:
         self._link_heard = False
 
     def _end(self) -> int:
-        """Return the first tick at which it is free if nothing more is heard."""
+        """Return the first tick at which the lease is free if the holder stays silent."""
         return max(self._until, self._last_heard + HEARD) if self._vehicle.armed else self._until
 
     def _claim(self, source: Source, refused: str, held: str) -> CommandResult:
-        """Make `source` the holder, unless another is; then it is `refused`, as the other holds what is `held`."""
+        """Make `source` the holder, or refuse: "`refused`: system 255, component 190 holds `held`"."""
         if not source[0]:
             return denied(f"{refused}: it has no sender")
         if self.holder is None or (self.holder != source and self._stood >= HEARD):

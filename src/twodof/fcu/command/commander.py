@@ -1,4 +1,4 @@
-"""The commander: who may command, and whether what is commanded is done. No I/O, and no clock but the ticks it is told.
+"""The commander: it decides whether a command of a client is carried out. No I/O, and no clock but the ticks.
 
 Every command is answered by a CommandResult. The rules are in docs/reference/protocol.md: lease, modes, set-points,
 excitation.
@@ -42,9 +42,9 @@ from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY
 
 
 class ExcitationControl:
-    """Decides over the excitation of `setpoints.player`, for a commander.
+    """Control of the excitation on board: definition, start and stop by clients.
 
-    `level_thrust` gives the thrust of a level hold, with which an excitation flies where none is in use.
+    `level_thrust` returns the thrust of a level hold, with which an excitation flies if no thrust is in use.
     """
 
     def __init__(self, vehicle: VehicleState, arming: ArmingControl, level_thrust: Callable[[], float]) -> None:
@@ -55,14 +55,14 @@ class ExcitationControl:
 
     @property
     def player(self) -> OnboardPlayer:
-        """Return the excitation, read only: state, transfer, start, end, reason, revision."""
+        """Return the player of the excitation, to be read only: state, transfer, start, end, reason, revision."""
         return self._setpoints.player
 
     def define(self, source: Source, transfer: int, prepared: SampledExcitation) -> CommandResult:
-        """Take a definition written out, without playing it; refused while another plays."""
+        """Store a sampled excitation as the definition `transfer`; refuse it while another one plays."""
         result = self._lease.take(source, "excitation")
         if result.accepted and self.player.playing:
-            return rejected("excitation refused: another plays")
+            return rejected("excitation refused: another one plays")
         if result.accepted:
             self.player.define(transfer, prepared)
         return result
@@ -70,9 +70,9 @@ class ExcitationControl:
     def start(
         self, source: Source, transfer: int, loop: int, thrust: float | None = None, at_tick: int = 0
     ) -> CommandResult:
-        """Play the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: from the next tick).
+        """Play the definition `transfer` in the loop `loop` (TWODOF_LOOP) from `at_tick` on (0: from the next tick).
 
-        `thrust` flies with it; None: that in use, or that of a level hold if there is none.
+        `thrust` is that during the excitation; None: the thrust in use, or that of a level hold if there is none.
         """
         result = self._lease.take(source, "excitation")
         player = self.player
@@ -89,7 +89,7 @@ class ExcitationControl:
         return rejected(f"excitation refused: {why}")
 
     def stop(self, source: Source) -> CommandResult:
-        """Stop and forget the excitation; its base is held."""
+        """Stop and forget the excitation; the set-point on which it was added is held."""
         result = self._lease.take(source, "excitation")
         if result.accepted and self.player.unit:
             self.player.finish(STOPPED, "by command")
@@ -104,14 +104,14 @@ class ExcitationControl:
             self._setpoints.begin_play(self._level_thrust(), tick)
 
     def _against_beginning(self) -> str:
-        """Return what speaks against an excitation that begins in this tick, "" if nothing does."""
+        """Return the reason against an excitation that begins in this tick, "" if there is none."""
         if not self._arming.flies:
             return "not armed"
         # It would go on in its middle when the failsafe lets go.
         return f"the failsafe acts: {STATES[self._vehicle.failsafe]}" if self._vehicle.failsafe_acts else ""
 
     def _against_playing(self, transfer: int, loop: int, thrust: float | None, at_tick: int) -> str:
-        """Return what speaks against the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: now)."""
+        """Return the reason against the definition `transfer` in the loop `loop` from `at_tick` on (0: now), or ""."""
         player, now = self.player, self._vehicle.now
         if player.playing:
             return "another plays"
@@ -134,12 +134,12 @@ class ExcitationControl:
 
 
 class Commander:
-    """Decides over one drone: here over modes and set-points, in `lease`, `arming` and `excitation` over those.
+    """Commander of one drone: modes and set-points here; `lease`, `arming` and `excitation` for the rest.
 
-    `rig` says whether rings and safety switch are set; `level_thrust` gives the thrust of a level hold (THRUST_BAR).
-    With `lockstep` the time that passes was granted by a client, so the link counts as alive in every tick.
-    `unfit` says what else speaks against arming, "" if nothing. `remarks` are (MAV_SEVERITY, text) pairs for the
-    clients, taken out by the service that sends them. `refused` counts set-points that did not act, by reason.
+    `rig` has the state of rings and safety switch; `level_thrust` returns the thrust of a level hold (THRUST_BAR). With
+    `lockstep` the time that passes was granted by a client, so the link counts as alive in every tick. `unfit` returns
+    a further reason against arming, "" if there is none. `remarks` are (MAV_SEVERITY, text) pairs for the clients,
+    which the service that sends them removes. `refused` counts set-points that did not act, by reason.
     """
 
     def __init__(self, rig: Hardware, level_thrust: Callable[[], float], lockstep: bool) -> None:
@@ -161,7 +161,7 @@ class Commander:
 
     @property
     def armed(self) -> bool:
-        """Return whether the motors may turn, as the failsafe last said."""
+        """Return whether the motors may turn, by the failsafe's last step."""
         return self._vehicle.armed
 
     @property
@@ -171,17 +171,17 @@ class Commander:
 
     @property
     def custom_mode(self) -> int:
-        """Return the mode, for HEARTBEAT."""
+        """Return HEARTBEAT.custom_mode: the mode."""
         return self._setpoints.custom_mode
 
     @property
     def base_mode(self) -> int:
-        """MAV_MODE_FLAG, for HEARTBEAT, as PX4 sets it."""
+        """Return HEARTBEAT.base_mode: MAV_MODE_FLAG as PX4 sets it."""
         return modes.base_mode(self.custom_mode, self.armed)
 
     @property
     def system_status(self) -> int:
-        """MAV_STATE, for HEARTBEAT: active, critical while the failsafe acts, standby; 0 where it would not arm."""
+        """Return HEARTBEAT.system_status: active, critical while the failsafe acts, standby, or 0 if it cannot arm."""
         if self.arming.killed_by is not None:
             return modes.TERMINATED
         if self._vehicle.step is None:
@@ -191,7 +191,7 @@ class Commander:
         return modes.UNREADY if self.arming.missing else modes.STANDBY
 
     def control_input(self, tick: int) -> ControlInput:
-        """Return the input of the flight code at `tick`; once a tick, before its step."""
+        """Return the input of the flight code at `tick`; to be called once a tick, before its step."""
         vehicle, setpoints, arming = self._vehicle, self._setpoints, self.arming
         vehicle.now = tick + 1
         link = self.lease.link_alive
@@ -209,7 +209,7 @@ class Commander:
         return self._input
 
     def seen(self, step: ControlStep) -> None:
-        """Take note of a step of the flight code; once a tick, after it."""
+        """Note a step of the flight code; to be called once a tick, after the step."""
         self._vehicle.step = step
         if self.arming.pending:
             self.arming.seen(step)
@@ -220,14 +220,14 @@ class Commander:
     def restart(self) -> None:
         """Restart at tick 0: disarmed, in manual mode, without set-points.
 
-        The lease stays as it is, and so does a kill: a reset is the first that many a program asks for.
+        Lease and kill stay as they are: many a program begins with a reset.
         """
         self.lease.restart()
         self._vehicle.restart()
         self._begin(self.arming.killed_by, self.openloop.revision + 1)
 
     def set_mode(self, source: Source, custom_mode: int) -> CommandResult:
-        """Change the mode; offboard wants set-points above 2 Hz before."""
+        """Change the mode; offboard needs set-points above 2 Hz before."""
         result = self.lease.take(source, "mode")
         if not result.accepted:
             return result
@@ -238,7 +238,7 @@ class Commander:
                 f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it", RefusalReason.RINGS
             )
         if RULES[custom_mode].streamed and not self._setpoints.streamed(self._vehicle.now):
-            return rejected(f"mode {modes.mode_name(custom_mode)} wants set-points above 2 Hz first")
+            return rejected(f"mode {modes.mode_name(custom_mode)} needs set-points above 2 Hz first")
         self._setpoints.enter(custom_mode, self._level_thrust(), self._vehicle.now, self.arming.flies)
         return DONE
 
@@ -250,12 +250,12 @@ class Commander:
         kind: str = TARGET,
         said: OpenLoopState | None = None,
     ) -> CommandResult:
-        """Take a set-point, which acts in the next tick or, if that is later, at `at_tick`.
+        """Accept a set-point, which acts in the next tick or, if that is later, at `at_tick`.
 
-        It is refused and counted if a number is not finite, if the cart is locked, if too many wait, or if `source` may
-        not command. A mode that does not fly it keeps it for offboard.
+        It is refused and counted if a number is not finite, if it moves a locked cart, if too many wait, or if `source`
+        may not command. In a mode that does not fly it, it is kept for offboard.
 
-        `said` is the open-loop message that it came of.
+        `said` is the open-loop message from which it was made.
         """
         if not setpoint.sound:
             return self.refuse(RefusalReason.INVALID, "a number is not finite")
@@ -267,15 +267,16 @@ class Commander:
         elif at_tick <= self._vehicle.now:
             self._setpoints.take(setpoint, kind, self._vehicle.now, self.arming.flies, said)
         elif at_tick > self._vehicle.now + HORIZON or not self._setpoints.queue(at_tick, setpoint, kind, said):
-            return self.refuse(RefusalReason.QUEUE, "too many wait, or it is more than a minute ahead")
+            return self.refuse(RefusalReason.QUEUE, "too many wait, or its time is more than a minute ahead")
         return result
 
     def open_loop(
         self, source: Source, M: float, T: float, openloop: bool, enableM: bool, enableT: bool, at_tick: int = 0
     ) -> CommandResult:
-        """TWODOF_OPENLOOP: M about the trim moment, or that alone; T, or the thrust in use; or no open loop any more.
+        """Carry out TWODOF_OPENLOOP: fly M about the trim moment (0 without `enableM`), with the thrust T if `enableT`.
 
-        Then the attitude loop holds the pitch level, but in manual mode, which closes no loop, M is 0.
+        Without `openloop` the open loop ends: the attitude loop holds the pitch level. In manual mode, which closes no
+        loop, M is 0 instead.
         """
         if openloop and enableM and not abs(M) <= 1.0:  # nor does NaN pass
             return self.refuse(RefusalReason.INVALID, f"M = {M:g} is outside -1 to 1")
@@ -291,7 +292,7 @@ class Commander:
         return self.setpoint(source, setpoint, at_tick, OPENLOOP, said)
 
     def sticks(self, source: Source, pitch: float, thrust: float) -> CommandResult:
-        """MANUAL_CONTROL: pitch stick, forward 1 and back -1, and thrust 0 to 1; the mode decides what they give."""
+        """Carry out MANUAL_CONTROL: pitch stick, forward 1 and back -1, and thrust 0 to 1, as the mode reads them."""
         if not (abs(pitch) <= 1.0 and 0.0 <= thrust <= 1.0):  # nor does NaN pass
             return self.refuse(RefusalReason.INVALID, "a stick is beyond its end")
         x = self._vehicle.step.x if self._vehicle.step is not None else 0.0

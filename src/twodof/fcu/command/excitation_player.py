@@ -1,4 +1,4 @@
-"""Playing an excitation on board: the very numbers of its definition, one a tick, added to a set-point."""
+"""Player of an excitation on board: the exact numbers of its definition, one a tick, added to a set-point."""
 
 import json
 from typing import Any, NamedTuple
@@ -15,13 +15,13 @@ IDLE, RECEIVING, READY, PLAYING, DONE, STOPPED, REFUSED = range(7)
 """TWODOF_EXCITE_STATE."""
 
 NEVER = 1 << 62
-"""A tick that does not come."""
+"""A tick that is never reached."""
 
 _BEYOND = 1e9  # what no number of an excitation reaches
 
 
 class ExcitationLoop(NamedTuple):
-    """Where an excitation enters: the loop (index into `signals.MODES`), its set-point, the excitation's unit."""
+    """Place where an excitation enters: the loop (index into `signals.MODES`), its set-point, the excitation's unit."""
 
     loop: int
     name: str
@@ -35,25 +35,25 @@ LOOPS = (
     ExcitationLoop(VELOCITY, "v0", "m/s"),
     ExcitationLoop(POSITION, "x0", "m"),
 )
-"""By TWODOF_LOOP."""
+"""Loops that can be excited, in the order of TWODOF_LOOP."""
 
 
 class SampledExcitation(NamedTuple):
-    """An excitation written out: the value at the k-th tick after its start, (n,), and the unit."""
+    """Samples of an excitation: its value at the k-th tick after its start, (n,), and the unit."""
 
     unit: str
     values: NDArray[np.float64]
 
 
 MOST_EFFORT = 1e8
-"""Cosines that a multisine may take on board: a second's work of one core."""
+"""Most cosines that a multisine may need on board: a second's work of one core."""
 
 
 def prepare(definition: bytes) -> SampledExcitation:
     """Sample an excitation's JSON at 250 Hz.
 
-    Raises ExperimentError for text that is not an excitation, or that would take longer than a second: only a sum of
-    many cosines does.
+    Raises ExperimentError for text that is not an excitation, and for a multisine with so many cosines that sampling it
+    would take longer than a second.
     """
     try:
         values = json.loads(definition.decode())
@@ -64,19 +64,19 @@ def prepare(definition: bytes) -> SampledExcitation:
     effort = _effort(values) if values.get("kind") == Multisine.kind else 0.0
     if effort > MOST_EFFORT:
         raise ExperimentError(
-            f"{effort:.2g} cosines are too many to be written out on board",
+            f"{effort:.2g} cosines are too many to be computed on board",
             "multisine",
-            f"take fewer or lower harmonics, or less time: {MOST_EFFORT:.2g} can be",
+            f"give fewer or lower harmonics, or less time: at most {MOST_EFFORT:.2g} cosines",
         )
     try:
         return written_out(from_dict(values))
     except (ArithmeticError, LookupError, MemoryError, TypeError, ValueError) as reason:
         # Nothing that comes over a link may end the control loop.
-        raise ExperimentError(f"cannot be written out: {reason}", "excitation", "write it with to_json") from reason
+        raise ExperimentError(f"cannot be sampled: {reason}", "excitation", "write it with to_json") from reason
 
 
 def _effort(values: dict[str, Any]) -> float:
-    """Return the cosines that a multisine takes; 0 where `from_dict` refuses it at once."""
+    """Return the number of cosines that a multisine needs; 0 if `from_dict` refuses it at once."""
     lines = values.get("harmonics")
     times = [values.get(name, 0) for name in ("lead", "settle", "period", "pause", "repeat")]
     if not isinstance(lines, list) or not 1 <= len(lines) <= MAX_LINES:
@@ -95,8 +95,8 @@ def _plain(value: Any) -> bool:
 def written_out(excitation: Excitation) -> SampledExcitation:
     """Sample an excitation at 250 Hz, from its start to the end of the rest after it.
 
-    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.experiments.script` flies. Raises
-    ExperimentError for one whose values are not all finite (a sweep over more octaves than a float has).
+    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit those that `experiment.experiments.script` flies.
+    Raises ExperimentError if a value is not finite (a sweep over more octaves than a float has).
     """
     steps = int(np.ceil(excitation.duration / PERIOD - 1e-6))
     with np.errstate(all="ignore"):
@@ -107,9 +107,9 @@ def written_out(excitation: Excitation) -> SampledExcitation:
 
 
 class OnboardPlayer:
-    """One excitation: defined, waiting for its tick, playing, then done. A definition plays once.
+    """Player of one excitation: defined, waiting for its tick, playing, then done. A definition plays once.
 
-    `start` and `end` are the tick of its time 0 and the first one after its end, `begins` the tick for which it waits;
+    `start` is the tick of the excitation's time 0, `end` the first tick after it, `begins` the tick for which it waits.
     `reason` says why it was refused or stopped; `revision` counts the changes.
     """
 
@@ -127,12 +127,12 @@ class OnboardPlayer:
 
     @property
     def playing(self) -> bool:
-        """Return whether it gives the set-points now."""
+        """Return whether the excitation acts on the set-points now."""
         return self.state == PLAYING
 
     @property
     def waiting(self) -> bool:
-        """Return whether it was started for a later tick."""
+        """Return whether the excitation was started for a later tick."""
         return self.begins < NEVER
 
     @property
@@ -141,13 +141,13 @@ class OnboardPlayer:
         return self._prepared.unit if self._prepared is not None else ""
 
     def define(self, transfer: int, prepared: SampledExcitation) -> None:
-        """Take a definition without playing it."""
+        """Store the definition `transfer` without playing it."""
         self.transfer, self._prepared = transfer, prepared
         self.start = self.end = 0
         self._become(READY)
 
     def wait(self, tick: int, loop: ExcitationLoop, thrust: float | None) -> None:
-        """Wait for `tick`."""
+        """Wait for `tick`, to play in `loop` with `thrust`."""
         self._become(READY)
         self.begins, self.loop, self.thrust = tick, loop, thrust
         self.start, self.end = tick, tick + (len(self._prepared.values) if self._prepared is not None else 0)
@@ -157,7 +157,7 @@ class OnboardPlayer:
         self._become(PLAYING)
 
     def value(self, tick: int) -> float:
-        """Return the value to add at `tick`; 0 once it has ended, and then it is done."""
+        """Return the value to add at `tick`; after the end return 0 and become done."""
         if self._prepared is None or not self.start <= tick < self.end:
             self._prepared = None
             self._become(DONE)
@@ -165,7 +165,7 @@ class OnboardPlayer:
         return float(self._prepared.values.item(tick - self.start))
 
     def finish(self, state: int, reason: str) -> None:
-        """End it as STOPPED or REFUSED; stopped it is forgotten."""
+        """End the excitation as STOPPED, which forgets its definition, or as REFUSED."""
         if state == STOPPED:
             self._prepared = None
         self._become(state, reason)

@@ -1,4 +1,4 @@
-"""Set-points: what a message or a stick asks for, which act in which mode, and what flies in each tick."""
+"""Set-points of messages and sticks: which ones act in which mode, and which one flies in each tick."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from twodof.link.mavlink.setpoints import NOTHING, SetPoint
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 HORIZON = round(60.0 / PERIOD)
-"""Most ticks that something may be asked for ahead: a minute."""
+"""Most ticks that a set-point or a start may lie ahead: a minute."""
 
 TARGET, OPENLOOP, STICKS = "target", "open loop", "sticks"
-"""Where a set-point comes from: SET_ATTITUDE_TARGET and the like, TWODOF_OPENLOOP, MANUAL_CONTROL."""
+"""Kinds of set-points by their message: SET_ATTITUDE_TARGET and the like, TWODOF_OPENLOOP, MANUAL_CONTROL."""
 
 
 class OpenLoopState(NamedTuple):
-    """The open-loop message in use, as TWODOF_OPENLOOP has it; `tick` is when it began to act, `revision` a count."""
+    """Fields of the TWODOF_OPENLOOP in use; `tick` is when it began to act, `revision` counts the messages."""
 
     tick: int = 0
     M: float = 0.0
@@ -60,14 +60,14 @@ def manual_setpoint(custom_mode: int, pitch: float, thrust: float, held: Control
 
 
 FRESH = round(0.5 / PERIOD)
-"""Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""
+"""Ticks for which a set-point is fresh: they must come above 2 Hz, as in PX4."""
 
 
 class ModeRule(NamedTuple):
-    """Rule of a mode: the kinds of set-points that act in it, and whether a stream must come before it is entered.
+    """Rule of a mode: the kinds of set-points that act in it, and whether they must be streamed before it is entered.
 
-    Where they are streamed, they may ask for thrust while the drone arms, as in PX4: mode and stream are two deliberate
-    acts. In the other modes a set-point that asks something of the motors keeps the drone from arming.
+    In a streamed mode a set-point may ask for thrust while the drone arms, as in PX4: mode and stream are two
+    deliberate acts. In the other modes a set-point that asks something of the motors keeps the drone from arming.
     """
 
     acts: tuple[str, ...] = ()
@@ -81,7 +81,7 @@ RULES: Mapping[int, ModeRule] = MappingProxyType(
         modes.OFFBOARD: ModeRule((TARGET, OPENLOOP), streamed=True),
     }
 )
-"""By custom_mode."""
+"""Rule of each mode, by custom_mode."""
 
 CAPACITY = 256
 """Most set-points that wait for their tick."""
@@ -90,9 +90,9 @@ _LONG_AGO = -10 * FRESH
 
 
 class SetpointManager:
-    """Mode, set-points in use and on offer, those that wait for their tick, and the player of excitations.
+    """The mode, the set-point in use, those that are kept for offboard or wait for their tick, and the player.
 
-    `changed` says that `control_input` may give something else than the last time.
+    `changed` is True if `control_input` may return something else than the last time.
     """
 
     def __init__(self, openloop_revision: int = 0) -> None:
@@ -115,7 +115,7 @@ class SetpointManager:
 
     @property
     def rule(self) -> ModeRule:
-        """Return what the mode asks of set-points."""
+        """Return the rule of the present mode."""
         return RULES[self.custom_mode]
 
     def streamed(self, tick: int) -> bool:
@@ -128,12 +128,12 @@ class SetpointManager:
         return fresh and not self._latest.idle
 
     def armed(self, tick: int) -> None:
-        """Begin to fly the stream, as the drone has armed in offboard."""
+        """Begin to fly the streamed set-point after the drone has armed in offboard."""
         if self.rule.streamed and self.streamed(tick):
             self._use(self.values.with_setpoint(self._offer), tick, self._said)
 
     def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, said: OpenLoopState | None = None) -> None:
-        """Let a set-point act now, or keep it for offboard. `said` is the open-loop message of it."""
+        """Let a set-point act now, or keep it for offboard. `said` is the open-loop message from which it was made."""
         if kind != STICKS:
             self._offered, self._said = tick, said
             self._offer = setpoint.after(self._offer)
@@ -151,13 +151,13 @@ class SetpointManager:
         return True
 
     def take_due(self, tick: int, armed: bool) -> None:
-        """Take the set-points that waited for `tick` or an earlier one."""
+        """Let the set-points act that waited for `tick` or an earlier one."""
         while self._queue and self._queue[0][0] <= tick:
             _, setpoint, kind, said = self._queue.pop(0)
             self.take(setpoint, kind, tick, armed, said)
 
     def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
-        """Change the mode. If armed, level hold flies from the next tick on, and offboard the set-point on offer."""
+        """Change the mode. If armed, the next tick flies level hold or, in offboard, the set-point kept for it."""
         if self.player.playing:
             self.player.finish(STOPPED, f"mode {modes.mode_name(custom_mode)} was chosen")
         self.custom_mode = custom_mode
@@ -172,13 +172,13 @@ class SetpointManager:
             self._offer = NOTHING  # what was asked for in an offboard of before is not what is flown now
 
     def hold_stick(self, pitch: float, thrust: float, tick: int) -> None:
-        """Note where the stick is held at `tick`."""
+        """Note the stick's position at `tick`."""
         self._stick, self._stick_at = (pitch, thrust), tick
 
     def forget_ahead(self, why: str) -> int:
-        """Forget set-points that wait or are on offer, as another client steers; the one in use flies on.
+        """Forget set-points that wait or are kept for offboard, as another client steers; the one in use flies on.
 
-        Returns how many waited.
+        Return the number that waited. A waiting excitation is refused with the reason `why`.
         """
         waited = len(self._queue)
         self._queue.clear()
@@ -202,7 +202,7 @@ class SetpointManager:
         player.begin()
 
     def rest(self, why: str, tick: int) -> None:
-        """Clear set-points, queue and excitation, as the motors stand."""
+        """Clear set-points, queue and excitation because the motors have stopped; `why` is for the excitation."""
         if self.player.playing or self.player.waiting:
             self.player.finish(STOPPED, why)
         self.values = ControlInput()

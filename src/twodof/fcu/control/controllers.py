@@ -1,4 +1,4 @@
-"""Which controllers fly: those given at the start, and those that were uploaded since; rebuilt while disarmed."""
+"""The controllers that fly: those given at the start, and those uploaded since; rebuilt while disarmed."""
 
 import hashlib
 from collections.abc import Iterable, Mapping
@@ -23,12 +23,12 @@ class ControllerIdentity(NamedTuple):
 
 
 class Controllers:
-    """Builds the flight code of the diagrams that are to fly.
+    """The diagrams that are to fly, and the build of their flight code.
 
     `given` are diagrams, JSON files or names of starter diagrams. Clients put others into the folder `uploads`, one for
-    a template; these replace the given ones once they were built. The folder `kept` holds the uploads that fly, for the
-    next start. The stock controller's own diagram means the stock controller. Uploads are never `trusted`, and where
-    one flies nothing is. Raises DiagramError as `load_diagram` and `by_kind`.
+    a template; these replace the given ones once they are built. The folder `kept` holds the uploads that fly, for the
+    next start. The diagram of a stock controller stands for the stock controller. Uploads are never `trusted`; if one
+    flies, no controller is. Raises DiagramError as `load_diagram` and `by_kind`.
     """
 
     def __init__(
@@ -50,9 +50,10 @@ class Controllers:
         self._fuel = fuel
 
     def build(self) -> tuple[FlightCode, str]:
-        """Build the flight code at the start, of given and kept controllers; without kept ones, and why, if that fails.
+        """Build the flight code of the given and the kept controllers; return it and "".
 
-        Raises ControllerFault for one given that needs too much for a step, CompileError where a tool chain is missing.
+        If a kept one cannot be built, return the code without the kept ones and the reason. Raises ControllerFault for
+        a given one that needs too much for a step, CompileError if a tool chain is missing.
         """
         damage = ""
         if self._kept is not None:
@@ -63,24 +64,25 @@ class Controllers:
         return self._built({}), damage
 
     def build_uploaded(self) -> tuple[FlightCode, dict[str, Diagram]]:
-        """Build the flight code of given and uploaded controllers, and return the uploads by kind; takes seconds.
+        """Build the flight code of the given and the uploaded controllers; return it and the uploads by template.
 
-        In any thread; nothing is kept yet. Raises DiagramError for a file that is not a controller, ControllerFault for
-        one that needs too much for a single step, CompileError where a tool chain is missing.
+        It takes seconds, may run in any thread, and keeps nothing. Raises DiagramError for a file that is not a
+        controller, ControllerFault for one that needs too much for a single step, CompileError if a tool chain is
+        missing.
         """
         if self.uploads is None or self._kept is None:
-            raise DiagramError("nothing is uploaded here", "controllers", "start it with a folder for its state")
+            raise DiagramError("uploads are not kept", "controllers", "start the drone with a folder for its state")
         uploaded = self.uploads.flashed()
         return self._built(uploaded), uploaded
 
     def keep(self, uploaded: Mapping[str, Diagram]) -> None:
-        """Let `uploaded`, and no others, fly after a restart too. Raises LogError where the disk refuses."""
+        """Store `uploaded`, and no others, to fly after a restart too. Raises LogError if the disk refuses."""
         _fill(self._kept, uploaded)
 
     def restore(self) -> None:
-        """Set the uploads back to those that fly: one that could not be built goes.
+        """Set the folder of uploads back to those that fly, without one that could not be built.
 
-        Raises LogError or DiagramError where the disk refuses.
+        Raises LogError or DiagramError if the disk refuses.
         """
         if self._kept is not None and self.uploads is not None:
             for kind in TEMPLATES:  # first, as one that is kept may be damaged
@@ -101,7 +103,7 @@ class Controllers:
 
 
 def _fill(store: ControllerStore | None, diagrams: Mapping[str, Diagram]) -> None:
-    """Let a folder hold these diagrams by kind, and no others."""
+    """Make a folder hold these diagrams, by template, and no others."""
     if store is None:
         return
     for kind in TEMPLATES:

@@ -27,26 +27,26 @@ from twodof.parameters import FLIGHT_PARAMETERS
 from twodof.signals import PERIOD
 
 MEASURED = tuple(name for name, _, _, _ in (*CORE_INPUTS, *FAILSAFE_INPUTS) if name in SensorSample._fields)
-"""The fields of a sample that it reads."""
+"""The fields of a sample that the flight code reads."""
 
 INPUTS = (*MEASURED, *ControlInput._fields, "rings", "step_late", "own_late")
-"""What the flight code is given, in the order in which `FlightCode.step` gives it."""
+"""The inputs of the flight code, in the order of `FlightCode.step`."""
 
 USER_INPUTS = tuple(name for name, _, _, _ in OWN_INPUTS)
-"""What it is given behind that: the commands of a user's controllers in the sandbox."""
+"""Further inputs after those: the commands of a user's controllers in the sandbox."""
 
 PATHS: Mapping[str, str] = MappingProxyType({row.name: row.path for row in FLIGHT_PARAMETERS})
-"""Where each of `parameters.FLIGHT_PARAMETERS` stands in the flight code, by its name on the wire."""
+"""Path in the flight code of each of `parameters.FLIGHT_PARAMETERS`, by its name on the wire."""
 
 _CASCADE, _RESERVE = "cascade.", "stock."
 _USER_PATHS = tuple(f"{'' if kind == MOTOR.name else _CASCADE}{kind}." for kind in TEMPLATES)
-"""Where the controllers of a user stand."""
+"""Paths of a user's controllers in the flight code."""
 _LIMITS = MappingProxyType({name: f"failsafe.safe.{name}_limit" for name in ("x0", "v0", "theta0", "q0")})
 
 
 @dataclass(slots=True)
 class ControlStep:
-    """One control period: what was measured and asked, and what the flight code made of it (`flight.core.OUTPUTS`)."""
+    """One control period: measurements, requested input, and outputs of the flight code (`flight.core.OUTPUTS`)."""
 
     tick: int
     sample: SensorSample
@@ -72,7 +72,7 @@ class ControlStep:
 
 
 OUTPUTS = tuple(field.name for field in fields(ControlStep))[3:]
-"""What the flight code gives: the fields of `ControlStep` behind `asked`."""
+"""The outputs of the flight code: the fields of `ControlStep` after `asked`."""
 
 _measured = attrgetter(*MEASURED)
 _USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
@@ -84,9 +84,9 @@ class FlightCode:
     `controllers` are diagrams that fly in place of the stock ones of their templates. `trusted` ones are part of the
     native code. Others run in a sandbox of WebAssembly: its memory and its instructions per step are bounded, and its
     commands pass the same gate. In both cases the gate replaces them by the stock ones as docs/explanation/safety.md
-    says. `fuel` is what a step in the sandbox may use, None what the program's size allows.
+    says. `fuel` is the most instructions of a step in the sandbox, None: by the size of the program.
 
-    Raises DiagramError for a controller that fits no template, CompileError where the tool chain is not there.
+    Raises DiagramError for a controller that fits no template, CompileError if the tool chain is missing.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class FlightCode:
     def step(
         self, tick: int, sample: SensorSample, asked: ControlInput, rings: bool = False, step_late: bool = False
     ) -> ControlStep:
-        """Run one control period. `step_late` says that the step before ran out of its time."""
+        """Run one control period. `step_late`: the step before took too long."""
         measured = _measured(sample)
         if self.sandbox is None:
             outputs = self._stepper.step((*measured, *asked, rings, step_late, False))
@@ -159,9 +159,9 @@ class FlightCode:
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         """Set parameters by their names on the wire, or by paths such as "failsafe.battery.low".
 
-        Those of a user's controllers have paths such as "attitude_control.k_q". A flag is true or false, or 1 or 0.
-        All take effect at the next step, or none does: raises ParameterError for a name that is not there and a value
-        that is out of bounds. Stock controllers in reserve get the gains too.
+        Those of a user's controllers have paths such as "attitude_control.k_q". A flag is true or false, or 1 or 0. All
+        take effect at the next step, or none does: raises ParameterError for an unknown name and a value out of bounds.
+        Stock controllers in reserve get the gains too.
         """
         known = self.machine.parameters
         paths = {_path(name): value for name, value in values.items()}
@@ -199,9 +199,9 @@ class FlightCode:
         return self.machine.get(path)
 
     def take_over(self, other: FlightCode) -> None:
-        """Continue where `other` stands: with its parameters, and the states of all parts that both have.
+        """Continue the flight of `other` with its parameters and the states of all parts that both have.
 
-        A user's controllers keep their own defaults: those of another may mean something else.
+        A user's controllers keep their own defaults: parameters of another may have another meaning.
         """
         old = other.machine
         known = self.machine.parameters
@@ -235,7 +235,7 @@ class FlightCode:
         self._limits = limits | {"thrust": 1.0, "M_open": 1.0, "ax0": math.inf}
 
     def _limited(self, asked: ControlInput) -> ControlInput:
-        """Return the set-points as the failsafe passes them to controllers inside."""
+        """Return the set-points clipped as the failsafe clips them for native controllers."""
         values: dict[str, Any] = {name: _within(getattr(asked, name), limit) for name, limit in self._limits.items()}
         values["thrust"] = max(0.0, values["thrust"])
         return asked._replace(**values)
@@ -243,7 +243,7 @@ class FlightCode:
 
 @cache
 def _program(position_filter: str, precision: str, outside: bool, controllers: tuple[Diagram, ...]) -> CompiledProgram:
-    """Build the flight code. Cached where no diagram of a user is part of it, as many virtual drones fly it."""
+    """Build the flight code. Cached, as many virtual drones fly the same."""
     diagram = core(position_filter=position_filter, controllers=controllers, failsafe=True, outside=outside)
     program = build(diagram, PERIOD, precision)
     if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then

@@ -12,8 +12,8 @@ from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, RATE
 class SensorSample(NamedTuple):
     """The measurements of one tick; body axes forward-right-down.
 
-    `imu_new` and `dist_new` say that the IMU and the range sensor gave a sample in this tick; `dist_age` is the age of
-    the range [s]; `charge` goes from 0 (empty) to 1.
+    `imu_new` and `dist_new` are True if the IMU and the range sensor gave a sample in this tick. Units: m/s2, rad/s and
+    m; `dist_age` is the age of the range [s], `voltage` in V, `charge` from 0 (empty) to 1.
     """
 
     acc_x: float
@@ -31,7 +31,7 @@ class SensorSample(NamedTuple):
 
 
 class ControlInput(NamedTuple):
-    """Inputs of the flight code that are asked for and not measured: mode, set-points in use, flags.
+    """Inputs of the flight code that are requested, not measured: mode, set-points in use, flags.
 
     Names and units as in `flight.declarations.INPUTS`; `mode` is an index into `signals.MODES`.
     """
@@ -52,21 +52,21 @@ class ControlInput(NamedTuple):
 
     @property
     def flown(self) -> int:
-        """Return the loop that flies: without thrust rate and attitude are off, as PX4's mixer gives no moment then."""
+        """Return the loop that flies: OFF for rate and attitude without thrust, when PX4's mixer gives no moment."""
         return OFF if self.mode in (RATE, ATTITUDE) and not self.thrust > 0.0 else self.mode
 
     @property
     def idle(self) -> bool:
-        """Return whether nothing is asked of the motors, as the failsafe's `not_idle` sees it."""
+        """Return whether nothing is asked of the motors, by the same rule as the failsafe's `not_idle`."""
         loop = self.flown
         return loop == OFF or (loop == OPEN_LOOP and not self.thrust and not self.M_open)
 
     def with_number(self, name: str, value: float) -> ControlInput:
-        """Return the same with another number `name`."""
+        """Return a copy in which the field `name` has this value."""
         return ControlInput._make(value if own == name else old for own, old in zip(self._fields, self, strict=True))
 
     def with_setpoint(self, setpoint: SetPoint) -> ControlInput:
-        """Return the same with the loop and the numbers of a set-point, as far as it gives them."""
+        """Return a copy with the loop and the numbers of a set-point, without those that are None."""
         loop, *numbers = setpoint
         mode = self.mode if loop is None else loop
         kept = (old if new is None else new for new, old in zip(numbers, self[2:9], strict=True))
@@ -82,7 +82,7 @@ class Hardware(Protocol):
 
     @property
     def virtual(self) -> bool:
-        """Return whether it is simulated."""
+        """Return whether the drone is simulated."""
 
     @property
     def seed(self) -> int:
@@ -121,6 +121,6 @@ class VirtualHardware(Hardware, Protocol):
     ) -> Mapping[str, Any]:
         """Restart at rest at `x` [m]; None leaves a value as it was.
 
-        Returns the states, by path, in which the flight code is to begin. Raises ParameterError, and changes nothing,
-        for a place beyond the rail, a seed or a noise that cannot be.
+        Return the initial states of the flight code, by path. Raises ParameterError, and changes nothing, for a place
+        beyond the rail and for an invalid seed or noise.
         """

@@ -17,7 +17,7 @@ Event = TypeVar("Event")
 
 
 class OnboardEventBus:
-    """Calls each listener of an event's class, in the order in which they subscribed, before `publish` returns."""
+    """Event bus that calls the listeners of an event's class, in the order of subscription, within `publish`."""
 
     def __init__(self) -> None:
         self._listeners: defaultdict[type[Any], list[Callable[[Any], object]]] = defaultdict(list)
@@ -33,23 +33,23 @@ class OnboardEventBus:
 
 
 REMEDY = "End other programs on the flight controller's computer, or fly a virtual drone in lockstep"
-"""What helps where the processor does not keep up (`step_late`)."""
+"""Remedy for a processor that is too slow (`step_late`)."""
 
 MOST_GRANTED = 25_000
-"""Ticks that may be granted beyond those that have run: 100 s."""
+"""Most ticks that may be granted beyond those that have run: 100 s."""
 
 
 WINDOW = 250
-"""Steps that the figures are of: a second."""
+"""Number of steps over which the figures are taken: a second."""
 
 
 @dataclass(slots=True)
 class LoopTiming:
     """Counts since the start, and figures [us] of the last whole second.
 
-    `overruns` are steps whose processor time was beyond the period, `missed` periods that were left out because the
-    loop came too late to make up for them. `step_mean` and `step_worst` are the processor time of a step, `late_worst`
-    is how long after it was due a step began. In lockstep nothing is late and nothing is measured.
+    `overruns` counts steps whose processor time was beyond the period, `missed` periods that were left out because the
+    loop was too late to make up for them. `step_mean` and `step_worst` are the processor time of a step, `late_worst`
+    is the longest delay of a step after its due time. In lockstep nothing is late and nothing is measured.
     """
 
     overruns: int = 0
@@ -76,7 +76,7 @@ class LoopTiming:
         return over
 
     def began(self, late: int) -> None:
-        """Note by how much [ns] a step began late."""
+        """Note the delay [ns] with which a step began."""
         self._late = max(self._late, late)
 
 
@@ -95,8 +95,8 @@ class TimeRestarted(NamedTuple):
 class FlightController:
     """Control loop: one step a control period, and the tick that counts them.
 
-    `commander` says what to fly, `code` flies it, `hardware` measures and drives. Each ControlStep is published on
-    `bus` (None: one of its own), and TimeRestarted when time begins again.
+    `commander` gives the input, `code` computes the commands, `hardware` measures and drives. Each ControlStep is
+    published on `bus` (None: a new one), and TimeRestarted when time begins again.
 
     In `lockstep` time stands still until ticks are granted, and nothing is late. In real time the processor time of a
     step is compared with the control period. `remarks` are (MAV_SEVERITY, text) pairs for the clients. All methods
@@ -152,7 +152,7 @@ class FlightController:
         return step
 
     def _note_time(self, used: int, armed: bool) -> None:
-        """Note the processor time [ns] of a step; two late ones in a row stop the motors, and the clients are told."""
+        """Note the processor time [ns] of a step; two late ones in a row stop the motors with a remark."""
         late = self.timing.stepped(used, TICK_NS)
         if late and self._late and armed:
             took = f"two control periods in a row took more than {TICK_NS // 10**6} ms ({used * 1e-6:.1f} ms)"
@@ -166,7 +166,7 @@ class FlightController:
         self.remarks.append((MavSeverity.CRITICAL, f"the control loop hung: motors stopped. {REMEDY}"))
 
     def grant(self, until: int) -> None:
-        """Let time run up to the tick `until`, which is not run; an earlier one changes nothing."""
+        """Let time run up to the tick `until`, which is not run itself; an earlier tick has no effect."""
         self.granted = max(self.granted, min(until, self.tick + MOST_GRANTED))
 
     def reset(
@@ -177,9 +177,9 @@ class FlightController:
         Raises ParameterError, and changes nothing, on a real rig, while armed, and as `VirtualHardware.reset`.
         """
         if not self.hardware.virtual:
-            raise ParameterError("a real rig cannot begin again", self.hardware.name, "place it by hand")
+            raise ParameterError("a real rig cannot be reset", self.hardware.name, "place it by hand")
         if self.latest is not None and self.latest.armed:
-            raise ParameterError("it is armed", "reset", "disarm first")
+            raise ParameterError("the drone is armed", "reset", "disarm first")
         states = cast(VirtualHardware, self.hardware).reset(seed, x, noise, rings)
         self.code.reset(states)
         self.tick = self.granted = 0
@@ -195,7 +195,7 @@ class FlightController:
         Raises ParameterError while armed.
         """
         if self.latest is not None and self.latest.armed:
-            raise ParameterError("it is armed", "controller", "disarm first")
+            raise ParameterError("the drone is armed", "controller", "disarm first")
         code.take_over(self.code)
         if code.sandbox is not None:
             code.sandbox.timed = not self.lockstep

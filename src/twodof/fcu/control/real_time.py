@@ -1,4 +1,4 @@
-"""Real time: what wakes the control loop at each period, and the watchdog that stops the motors when it hangs."""
+"""Real time: the timer that wakes the control loop each period, and the watchdog that stops the motors if it hangs."""
 
 import asyncio
 import ctypes
@@ -13,14 +13,14 @@ from pathlib import Path
 from twodof.errors import LinkError
 
 MOST_CATCH_UP = 25
-"""Periods that are made up for at once after a stall; what is beyond them is missed."""
+"""Most periods that are made up for at once after a stall; further ones are missed."""
 
 
 class Pacer:
-    """Due times `period_ns` apart from the first `wait` on.
+    """Timer with due times `period_ns` [ns] apart, from the first `wait` on.
 
-    On Linux a timer of the kernel that wakes to the microsecond (asyncio's own timers wake a millisecond late), else
-    asyncio's. A wall clock that jumps changes nothing.
+    On Linux it is a kernel timer, exact to a microsecond (asyncio's own timers are a millisecond late), else asyncio's.
+    It does not depend on the wall clock.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -39,8 +39,8 @@ class Pacer:
     async def wait(self) -> int:
         """Wait for the next due time; return the number of periods due: 1, or more after a stall.
 
-        Periods beyond `MOST_CATCH_UP` are counted in `missed` and left out. `late_ns` is by how much the first of
-        those that are due is late.
+        Periods beyond `MOST_CATCH_UP` are left out and counted in `missed`. `late_ns` is the delay [ns] of the first
+        one that is due.
         """
         if not self._begin:
             self._begin = time.monotonic_ns()
@@ -97,20 +97,23 @@ def _timer(call: str, *given: object) -> int:
     made = int(getattr(ctypes.CDLL(None, use_errno=True), f"timerfd_{call}")(*given))
     if made < 0:
         what = f"the system gives no timer: timerfd_{call}: {os.strerror(ctypes.get_errno())}"
-        raise LinkError(what, "pacing", "end other programs")
+        raise LinkError(what, "timer of the control loop", "end other programs")
     return made
 
 
 LOOK_S = 0.02
 LOOKS = 5
-"""Looks without a beat after which the loop hangs."""
+"""Number of looks without a beat after which the loop counts as hung."""
 
 # A loop that runs all the time loses a little of it to whoever looks.
 _HANGS = LOOKS - 0.5
 
 
 class ThreadTime:
-    """The thread that makes it, as seen from any other. On Linux; elsewhere nothing counts as lacking a processor."""
+    """Clock of the thread that creates it: the share of time for which that thread was not kept off the processor.
+
+    On systems other than Linux the share is always 1.
+    """
 
     def __init__(self) -> None:
         self._stat = Path(f"/proc/self/task/{threading.get_native_id()}/stat")
@@ -118,9 +121,9 @@ class ThreadTime:
         self._seen, self._ran = time.monotonic(), self._processor_time()
 
     def own(self) -> float:
-        """Return the share, 0 to 1, of the time since the last call that was the thread's own.
+        """Return the share, 0 to 1, of the time since the last call in which the thread ran or waited by its own will.
 
-        All of it where the thread waits for something now, or has ended; where it would run, only what it ran.
+        It is 1 if the thread waits for something now, or has ended. If it is ready to run, only the time it ran counts.
         """
         now, ran = time.monotonic(), self._processor_time()
         passed, used = now - self._seen, ran - self._ran
@@ -130,13 +133,13 @@ class ThreadTime:
         return min(1.0, used / passed) if passed > 0.0 else 1.0
 
     def _processor_time(self) -> float:
-        """Return its processor time [s]; 0 once it has ended, or where that is unknown."""
+        """Return the thread's processor time [s]; 0 once it has ended, or if that is unknown."""
         with suppress(OSError):
             return 0.0 if self._clock is None else time.clock_gettime(self._clock)
         return 0.0
 
     def _would_run(self) -> bool:
-        """Return whether it runs, or only lacks a processor; False where that is unknown."""
+        """Return whether the thread runs or waits for a processor; False if that is unknown."""
         with suppress(OSError):
             # proc(5): the number, the name in parentheses, then the state.
             return self._clock is not None and self._stat.read_bytes().rpartition(b")")[2].split()[0] == b"R"
@@ -144,15 +147,15 @@ class ThreadTime:
 
 
 class Watchdog:
-    """A thread that calls `stop` when no `beat` came for `LOOKS` looks, `LOOK_S` apart: .1 s.
+    """Watchdog thread that calls `stop` when no `beat` came for `LOOKS` looks, `LOOK_S` apart: .1 s.
 
-    It counts looks and not time: where the whole machine stands still, its thread stands still too. It begins with the
-    first beat. `trips` counts the stops.
+    It counts looks instead of time: if the whole machine stands still, so does its thread. It begins with the first
+    beat. `trips` counts the stops.
 
-    With `patient` a look counts by the part of its time in which the loop ran or waited. A loop that lacks a processor
-    does not hang, and does a virtual rig no harm, since the rig's time is the loop's.
+    With `patient` a look counts only by the share of time in which the loop ran or waited. A loop without a processor
+    does not hang, and does a virtual rig no harm, since the rig's time is that of the loop.
 
-    It does not see native code that never releases the interpreter: that is for the hardware.
+    It cannot detect native code that never releases the interpreter: that is left to the hardware.
     """
 
     def __init__(self, stop: Callable[[], None], look_s: float = LOOK_S, patient: bool = False) -> None:

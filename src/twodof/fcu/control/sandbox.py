@@ -1,4 +1,4 @@
-"""A user's controllers that are not trusted: a whole flight core of theirs in WebAssembly, bounded, watched."""
+"""Sandbox for a user's untrusted controllers: a flight core with them in WebAssembly, with bounded time and memory."""
 
 import time
 from collections.abc import Iterable, Mapping
@@ -19,19 +19,19 @@ BUDGET_NS = 2_000_000
 """Processor time [ns] that a step in the sandbox may take in real time: half of the control period."""
 
 PAUSE, LONGEST_PAUSE = 250, 4000
-"""Ticks on the ground until what was too slow is tried again, the first time, and, doubled each time, at most."""
+"""Ticks on the ground until a controller that was too slow is tried again; doubled each time, up to the second."""
 GOOD = 1000
-"""Steps in a row that were in time, after which it is as if it had never been too slow."""
+"""Steps in time, in a row, after which the pause starts at `PAUSE` again."""
 
 MEASURED, ASKED = (
     tuple(name for name, _, _, _ in CORE_INPUTS if name in given._fields) for given in (SensorSample, ControlInput)
 )
-"""The inputs that are measured, and those that are asked for."""
+"""The inputs that are measured, and those that are requested."""
 OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")
 
 
 SandboxOutput = tuple[Any, ...]
-"""Whether the controllers were stopped or out of time, so that the rest is not to fly; then `OUTPUTS`."""
+"""A flag, True if the controllers have stopped or were late, so that the rest must not fly; then `OUTPUTS`."""
 
 _measured, _asked = attrgetter(*MEASURED), attrgetter(*ASKED)
 _NOTHING: SandboxOutput = (True, *(0.0,) * len(OUTPUTS))
@@ -40,13 +40,13 @@ _NOTHING: SandboxOutput = (True, *(0.0,) * len(OUTPUTS))
 class Sandbox:
     """The flight core with `controllers`, without failsafe, in WebAssembly; its commands go through the native gate.
 
-    `fault` says what stopped it, "" while it runs; then every step is late until `restart`.
+    `fault` says what stopped the sandbox, "" while it runs. A stopped sandbox is late in every step until `restart`.
 
-    In real time (`timed`) a step that takes more than `BUDGET_NS` of the processor is late and stops it too. So it
-    makes no second control period late. On the ground it may be tried again after a pause (`wakes`, `resume`).
+    In real time (`timed`) a step that takes more than `BUDGET_NS` of the processor stops it too, so that it makes no
+    second control period late. On the ground it may be tried again after a pause (`wakes`, `resume`).
 
-    Raises DiagramError for a controller that fits no template, CompileError where the compiler for WebAssembly or
-    wasmtime is missing.
+    Raises DiagramError for a controller that fits no template, CompileError if the compiler for WebAssembly or wasmtime
+    is missing.
     """
 
     def __init__(
@@ -75,11 +75,11 @@ class Sandbox:
         self._stepper = Stepper(self.machine, (*MEASURED, *ASKED), OUTPUTS)
 
     def _known(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the `values` whose parameters it has."""
+        """Return those of `values` whose parameters the sandbox has."""
         return {path: value for path, value in values.items() if path in self.machine.parameters}
 
     def restart(self, parameters: Mapping[str, Any], states: Mapping[str, Any]) -> None:
-        """Restart as a fresh instance with these parameters and states by path; `fault` if that fails."""
+        """Restart as a fresh instance with these parameters and states by path; set `fault` if that fails."""
         try:
             self._renew()
             self.machine.set_many(self._known(parameters))
@@ -89,17 +89,17 @@ class Sandbox:
 
     @property
     def rests(self) -> bool:
-        """Return whether it was too slow and will be tried again; any other fault is final."""
+        """Return whether the sandbox was too slow and will be tried again; any other fault is final."""
         return self._rest > 0
 
     def wakes(self) -> bool:
-        """Count a tick of its pause on the ground. Return whether `resume` may try it again now."""
+        """Count a tick of the pause on the ground. Return whether `resume` may try the sandbox again now."""
         self._spent = 0
         self._rest -= 1
         return self._rest == 0
 
     def resume(self, states: Mapping[str, Any]) -> None:
-        """Resume with these states; `fault` stays until a step was in time."""
+        """Resume with these states, by path; `fault` stays until a step was in time."""
         try:
             self._begin(states)
         except ControllerFault as fault:
@@ -114,10 +114,10 @@ class Sandbox:
                 self.machine.set_state(path, value)
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Set the known ones of `values`, all or none; the time that this takes is part of the next step's.
+        """Set the known ones of `values`, all or none; the time that this takes counts for the next step.
 
-        Raises ParameterError for a value that cannot be. Where derived parameters cannot be computed it has stopped:
-        `fault` says so.
+        Raises ParameterError for an invalid value. If derived parameters cannot be computed, the sandbox stops with a
+        `fault`.
         """
         began = time.thread_time_ns() if self.timed else 0
         try:
@@ -152,7 +152,7 @@ class Sandbox:
 
     def _overran(self, used: int) -> None:
         took = f"{self.name} took {used * 1e-6:.1f} ms of the processor for a step"
-        self.fault = self.fault or f"{took}, and {BUDGET_NS * 1e-6:g} ms are there for it"
+        self.fault = self.fault or f"{took}, at most {BUDGET_NS * 1e-6:g} ms are allowed"
         self.late_steps += 1
         self._good = 0
         self._pause = self._rest = min(max(PAUSE, 2 * self._pause), LONGEST_PAUSE)

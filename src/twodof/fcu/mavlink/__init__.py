@@ -1,1 +1,1 @@
-"""The MAVLink services that our own protocol needs."""
+"""The MAVLink services of the flight controller."""

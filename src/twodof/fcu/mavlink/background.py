@@ -1,4 +1,4 @@
-"""Work beside the control loop: on the disk by a thread of its own, and much sending in small portions."""
+"""Work beside the control loop: disk work in a thread of its own, and long lists sent in small portions."""
 
 import asyncio
 import threading
@@ -26,13 +26,13 @@ def read_block(path: Path, at: int, size: int) -> bytes:
 
 
 class BackgroundWorker:
-    """Does work in order and hands each result to `done` in `poll`, in the thread that polls.
+    """Worker thread that runs jobs in order; `poll` calls `done` with each result in the thread that polls.
 
-    A result that is an OSError or a TwodofError is one that the work raised. Any other exception is a fault of this
-    program. Then `done` gets an OSError, so that the client is answered, and `poll` (with `inline`, `submit`) raises
-    the exception. That ends the program with the motors off, like a fault of any service.
+    An OSError or TwodofError of a job is passed to `done` as its result. Any other exception is a fault of this
+    program: `done` gets an OSError, so that the client is answered, and `poll` (with `inline`, `submit`) raises the
+    exception. That ends the program with the motors off, like a fault of any service.
 
-    With `inline` the work is done at once: in lockstep nobody waits for the clock, and ticks may stand still.
+    With `inline` a job runs at once: in lockstep there is no clock to keep up with, and ticks may stand still.
     """
 
     def __init__(self, inline: bool = False) -> None:
@@ -42,7 +42,7 @@ class BackgroundWorker:
         self._thread: threading.Thread | None = None
 
     def submit(self, work: Work, done: Done) -> bool:
-        """Queue `work`; return False where too much waits already."""
+        """Queue `work`; return False if too many jobs wait already."""
         job = Future[object]()
         if self._inline:
             _do(job, work)
@@ -87,10 +87,10 @@ PORTION_S = 0.002
 
 
 class PacedSender:
-    """Sends the messages of iterators in portions of at most `most`, which the clients share and take turns in.
+    """Sender of long series of messages in portions of at most `most` messages, which the clients share in turns.
 
     `send` is called with the client's key and a message. An iterator yields None while it waits for something. In real
-    time `tick`, called after each control period, sends a portion; in lockstep the event loop every two milliseconds.
+    time `tick`, called after each control period, sends a portion; in lockstep the event loop does every 2 ms.
     """
 
     def __init__(self, send: Callable[[Any, Any], None], lockstep: bool, most: int) -> None:
@@ -102,22 +102,22 @@ class PacedSender:
         self._messages: dict[Hashable, Iterator[Any]] = {}
 
     def start(self, key: Hashable, messages: Iterator[Any]) -> None:
-        """Send `messages` to a client, in place of what it still had to get; in lockstep the first portion goes now."""
+        """Send `messages` to a client, in place of earlier ones that are not sent yet; in lockstep begin now."""
         self._messages[key] = messages
         if self._lockstep and not self._running:
             self._by_clock()
 
     def stop(self, key: Hashable) -> bool:
-        """Send a client nothing more; return whether it still had to get something."""
+        """Stop sending to a client; return whether messages were left."""
         return self._messages.pop(key, None) is not None
 
     @property
     def keys(self) -> tuple[Hashable, ...]:
-        """Return the clients that still have to get something."""
+        """Return the clients for which messages are left."""
         return tuple(self._messages)
 
     def tick(self) -> None:
-        """Send a portion, as a control period has ended."""
+        """Send a portion after a control period; in lockstep do nothing."""
         if not self._lockstep:
             self.portion()
 

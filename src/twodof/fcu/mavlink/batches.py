@@ -28,7 +28,7 @@ def published(tick: int) -> bool:
 
 
 def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], float]]:
-    """Return channel -> its value at a step, NaN where it has no new sample."""
+    """Return a function by channel that reads its value from a step; NaN without a new sample."""
 
     def value(row: Topic, name: str) -> Callable[[ControlStep], float]:
         if row.name == "openloop":
@@ -66,7 +66,7 @@ class BatchSubscription:
 
     @property
     def full(self) -> bool:
-        """Return whether no more rows fit, or as many wait as are due within the longest wait."""
+        """Return whether the batch must be sent: no more rows fit, or the first has waited long enough."""
         return self.rows >= min(BATCH_VALUES // len(self.read), LATEST_TICKS // self.every + 1)
 
 
@@ -74,7 +74,7 @@ class BatchService(Service):
     """Subscriptions to batches, one a client, made and ended by command 511 for TWODOF_BATCH.
 
     Its parameter 2 is the interval of the samples [us] (0: each tick, -1: end), 3 and 4 are the low and the high 16
-    bits of the mask of channels. Nothing is lost on this side: what a link does not take is seen as a gap in `tick`.
+    bits of the mask of channels. Every sample is sent: a batch that the link drops shows as a gap in `tick`.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -111,10 +111,10 @@ class BatchService(Service):
             return DONE
         every = max(1, round(interval / TICK_US)) if isfinite(interval) else 0
         if not 0 <= low <= LARGEST_HALF or not 0 <= high <= LARGEST_HALF or not 1 <= every <= 0xFF:
-            return denied("a batch wants an interval up to 255 ticks and two halves of a mask")
+            return denied("a batch needs an interval of at most 255 ticks and two halves of a mask")
         mask = low | high << 16
         if not mask or mask & ~self._all:
-            return denied("a batch wants channels, and only those there are")
+            return denied("a batch needs channels, all of them known")
         read = [one for bit, one in self._readers if mask & bit]
         self._subscriptions[command.peer] = BatchSubscription(command.peer, mask, every, read)
         return DONE

@@ -1,4 +1,4 @@
-"""Clients: the peers that have spoken, and which of them commands."""
+"""Clients: the peers that have sent a message, and their lease."""
 
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -13,35 +13,35 @@ from twodof.link.mavlink.messages import message
 from twodof.signals import TICK_MS
 
 SILENT_TICKS = 15_000
-"""60 s without a frame: a client is forgotten."""
+"""Ticks without a frame after which a client is forgotten: 60 s."""
 MOST_CLIENTS = 64
 _SWEEP_TICKS = 250
 _ABOUT_MESSAGES = (MavCmd.GET_MESSAGE_INTERVAL, MavCmd.SET_MESSAGE_INTERVAL, MavCmd.REQUEST_MESSAGE)
 
 
 class ClientJoined(NamedTuple):
-    """A peer has spoken for the first time."""
+    """Event: a peer has sent its first message."""
 
     peer: Hashable
 
 
 class ClientRecognised(NamedTuple):
-    """A client has sent a message of twodof's own, or asked for one. Others would count these messages as lost."""
+    """Event: a client has sent or requested a twodof message. To others they would count as losses."""
 
     peer: Hashable
 
 
 class ClientLeft(NamedTuple):
-    """A client's link has closed, or it was silent for too long."""
+    """Event: a client's link has closed, or the client was silent for too long."""
 
     peer: Hashable
 
 
 class Clients(Service):
-    """Connected clients. First among the services: it sees every message and takes none.
+    """List of the connected clients. First among the services: it sees every message and consumes none.
 
-    It publishes ClientJoined, ClientRecognised and ClientLeft. In lockstep nobody is forgotten for silence, as a
-    minute may pass between two heartbeats of a bystander.
+    It publishes ClientJoined, ClientRecognised and ClientLeft. In lockstep silent clients are not forgotten, as a
+    minute of the drone's time may pass between two heartbeats of a bystander.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -79,7 +79,7 @@ class Clients(Service):
 
 
 def _knows(received: Received) -> bool:
-    """Return whether a message shows that its sender knows twodof's own."""
+    """Return whether a message shows that its sender knows twodof's own messages."""
     number, got = received.frame.message_id, received.message
     if got.get_type() in ("COMMAND_LONG", "COMMAND_INT"):
         return got.command in _ABOUT_MESSAGES and FIRST_OWN_ID <= got.param1 <= LAST_OWN_ID
@@ -92,11 +92,11 @@ ASK, GIVE_UP = 1, 2
 MOST_VEHICLES = 64
 
 IDLE_TICKS = 250
-"""In lockstep `idle` is called when time has stood still for so long: a second (`server.IDLE_S`)."""
+"""Time that has stood still when `idle` is called in lockstep [ticks]: a second (`server.IDLE_S`)."""
 
 
 class LeaseService(Service):
-    """Service that tells the commander of every frame, and answers TWODOF_LEASE; the state is telemetry."""
+    """Service that reports every frame to the lease and carries out TWODOF_LEASE; telemetry has the lease's state."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, {"TWODOF_LEASE": self._act})
@@ -104,7 +104,7 @@ class LeaseService(Service):
         self._vehicles: OrderedDict[Source, None] = OrderedDict()
 
     def handle(self, received: Received) -> bool:
-        """Note the sender; take TWODOF_LEASE."""
+        """Note the sender; consume TWODOF_LEASE."""
         sender, got = source(received), received.message
         if sender == self._vehicle.address:
             return False  # our own, come round

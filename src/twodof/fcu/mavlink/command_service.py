@@ -19,17 +19,17 @@ _QUESTIONS = (
     *(MavCmd.REQUEST_PROTOCOL_VERSION, MavCmd.REQUEST_AUTOPILOT_CAPABILITIES),
 )
 _ANSWERED_AGAIN = (*_QUESTIONS, MavCmd.SET_MESSAGE_INTERVAL)
-"""They are answered as often as they come."""
+"""Commands that are carried out as often as they come."""
 
 LATEST_TICKS = 125
-"""Half a second: what comes again later is another command."""
+"""Ticks within which an equal command is a repetition: half a second."""
 MOST_REMEMBERED = 64
 
 
 class ReceivedCommand(NamedTuple):
     """Command to this drone; any of its seven numbers `params` may be NaN.
 
-    `repeated`: its sender says that it was sent before, and has got no answer.
+    `repeated`: by its `confirmation` it was sent before and got no answer.
     """
 
     number: int
@@ -45,7 +45,7 @@ class ReceivedCommand(NamedTuple):
 
 
 class CommandHandled(NamedTuple):
-    """A command was answered; what it changes, it has changed."""
+    """Event: a command was carried out and answered."""
 
 
 Handler = Callable[[ReceivedCommand], CommandResult]
@@ -70,9 +70,9 @@ class CommandService(Service):
     def on(self, number: MavCmd, handler: Handler, poll: Handler | None = None, slow: bool = False) -> None:
         """Register the handler of a command.
 
-        A handler may answer IN_PROGRESS. Then `poll` is asked after each control period, until it gives another
-        result. In lockstep the client is told IN_PROGRESS, so that it lets time run. For a `slow` command, which may
-        take seconds, it is told so in real time too.
+        A handler may answer IN_PROGRESS. Then `poll` is called after each control period until it returns another
+        result. In lockstep IN_PROGRESS is sent to the client, so that it lets time run; for a `slow` command, which may
+        take seconds, also in real time.
         """
         if slow:
             self._slow.add(number)
@@ -82,7 +82,7 @@ class CommandService(Service):
 
     @property
     def supported(self) -> tuple[int, ...]:
-        """Return the commands that are carried out."""
+        """Return the numbers of the commands that have a handler."""
         return tuple(sorted(self._handlers))
 
     def handle(self, received: Received) -> bool:
@@ -126,7 +126,7 @@ class CommandService(Service):
         self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
 
     def acknowledge(self, command: ReceivedCommand, result: CommandResult) -> None:
-        """Answer a command that was carried out, also one that came in another message."""
+        """Send COMMAND_ACK for a command, also for one that came in another message, such as SET_MODE."""
         if command.what in self._pending and not self._vehicle.lockstep and command.number not in self._slow:
             return
         answer = {"command": command.number, "result": result.result, "result_param2": result.reason}
@@ -169,7 +169,7 @@ LOOK_TICKS = 250
 
 
 class StatusTextService(Service):
-    """Sends the commander's remarks. It takes the texts of others, which are not for us."""
+    """Service that sends the commander's remarks as STATUSTEXT. It consumes those of others, which are not for us."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, {"STATUSTEXT": None})
@@ -186,7 +186,7 @@ class StatusTextService(Service):
 
 
 class StorageMonitor(Service):
-    """Remarks that parameters or logs cannot be written: looks once a second, tells each trouble once."""
+    """Service that remarks, once each, that parameters or logs cannot be written; it looks once a second."""
 
     def __init__(self, vehicle: Vehicle, log: OnboardLogger | None) -> None:
         super().__init__(vehicle)

@@ -1,7 +1,7 @@
-"""Telemetry: every message that can be streamed or asked for, as of now.
+"""Telemetry: encoders of every message that can be streamed or requested, with the present values.
 
-Axes are forward-right-down. North is along the rail: heading is 0 and x points north. What the rig cannot do (roll,
-yaw, sideways, up) is 0. The rest of the fields is as https://mavlink.io/en/messages/common.html says.
+Axes are forward-right-down. North is along the rail: heading is 0 and x points north. Motions that the rig does not
+have (roll, yaw, sideways, up) are 0. The other fields follow https://mavlink.io/en/messages/common.html.
 """
 
 import time
@@ -34,24 +34,24 @@ LIFTED, GROUNDED = 2, 1
 
 
 def boot_ms(step: ControlStep) -> int:
-    """time_boot_ms of a step."""
+    """Return time_boot_ms of a step."""
     return step.tick * TICK_MS & MASK_32
 
 
 def quaternion(pitch: float) -> tuple[float, float, float, float]:
-    """Return the attitude (w, x, y, z) of a pitch [rad]; NaN where that is not finite."""
+    """Return the quaternion (w, x, y, z) of a pitch [rad]; NaN if the pitch is not finite."""
     if not isfinite(pitch):
         return nan, nan, nan, nan
     return cos(pitch / 2.0), 0.0, sin(pitch / 2.0), 0.0
 
 
 def millivolts(voltage: float) -> int:
-    """Return a voltage [V] in whole mV, 65535 where it is unknown."""
+    """Return a voltage [V] in whole mV, 65535 if it is not finite."""
     return round(min(max(voltage, 0.0), 65.534) * 1000.0) if isfinite(voltage) else UNKNOWN_16
 
 
 def percent(charge: float) -> int:
-    """Return a charge from 0 to 1 in whole percent, -1 where it is unknown."""
+    """Return a charge from 0 to 1 in whole percent, -1 if it is not finite."""
     return round(min(max(charge, 0.0), 1.0) * 100.0) if isfinite(charge) else -1
 
 
@@ -72,7 +72,7 @@ def _attitude_target(s: ControlStep) -> tuple[Any, ...]:
 
 
 def _position_target(s: ControlStep) -> tuple[Any, ...]:
-    """Return x0, v0 in use and the feed-forward; the mask says which of them is flown."""
+    """Return x0, v0 in use and the feed-forward; the mask marks the ones that do not fly."""
     mode = s.asked.mode
     mask = _ALWAYS | (0 if mode == POSITION else _X | _AX) | (0 if mode in (VELOCITY, POSITION) else _VX)
     return boot_ms(s), s.x0, s.v0, s.asked.ax0, mask, LOCAL_NED
@@ -157,7 +157,7 @@ PRESENT = (
     GYRO | ACCELEROMETER | RANGE | RATE_CONTROL | ATTITUDE_CONTROL | POSITION_CONTROL | MOTORS | AHRS | BATTERY | PREARM
 )
 FENCE = 1048576
-"""There is none; said to be sound, as MAVProxy takes one that is neither there nor sound for breached."""
+"""There is no geofence; it is reported healthy, as MAVProxy reports one that is neither as breached."""
 UNHEALTHY: tuple[tuple[int, int], ...] = (
     (BIT["imu_lost"], GYRO | ACCELEROMETER),
     (BIT["range_lost"], RANGE),
@@ -165,10 +165,10 @@ UNHEALTHY: tuple[tuple[int, int], ...] = (
     (BIT["own_failed"] | BIT["command_stuck"] | BIT["command_lost"], RATE_CONTROL | ATTITUDE_CONTROL),
     (BIT["battery_low"] | BIT["battery_critical"], BATTERY),
 )
-"""Causes of the failsafe, and what SYS_STATUS calls unhealthy while they hold."""
+"""Causes of the failsafe, and the sensors that SYS_STATUS reports as unhealthy while they hold."""
 
 ON_THE_GROUND = BIT["not_idle"] | BIT["tilted"]
-"""Causes that keep from arming, and in flight are as they should be."""
+"""Causes against arming that are normal in flight."""
 
 IMU_FIELDS = 0x3F
 """HIGHRES_IMU_UPDATED_FLAGS of accelerometer and gyro; there is neither compass nor barometer."""
@@ -188,7 +188,7 @@ NOBODY = (0, 0)
 
 
 def health(causes: int, armed: bool) -> int:
-    """onboard_control_sensors_health for a mask of causes; in flight some are as they should be."""
+    """Return SYS_STATUS.onboard_control_sensors_health for a mask of causes; some causes are normal in flight."""
     if armed:
         causes &= ~ON_THE_GROUND
     sound = PRESENT | FENCE
@@ -199,17 +199,17 @@ def health(causes: int, armed: bool) -> int:
 
 
 def deciding(reason: int) -> int:
-    """Return the place of the cause in a mask that asks for the strongest action, -1 if there is none."""
+    """Return the bit number of the cause in `reason` that demands the strongest action, -1 if there is none."""
     places = [place for place in range(len(CAUSES)) if reason >> place & 1]
     return max(places, key=lambda place: (CAUSES[place].action, -place), default=-1)
 
 
 class TelemetryEncoders:
-    """The latest step, and an encoder for each of `messages`, by message id.
+    """Encoders of the telemetry by message id (`messages`), fed with the latest step.
 
-    A sensor's message tells of the last sample, at that sample's own time. `news` has the tick of that sample, -1: none
-    yet, so that none is sent twice. `lost` counts messages that clients did not take. `truth` is the virtual rig's
-    state, None for a real one: it comes from the rig, past everything on board.
+    A sensor's message has the last sample and that sample's time. `news` has the tick of that sample (-1: none yet), so
+    that no sample is sent twice. `lost` returns the number of messages that clients did not take. `truth` returns the
+    virtual rig's true state, None for a real rig: nothing on board uses it.
     """
 
     def __init__(
@@ -251,11 +251,11 @@ class TelemetryEncoders:
             self._add("TWODOF_TRUTH", lambda: (controller.tick * TICK_US, *truth(), controller.tick & MASK_32))
 
     def add(self, name: str, encode: Callable[[], Any | None]) -> None:
-        """Add a message that can be streamed and asked for."""
+        """Add a message that can be streamed and requested."""
         self._encoders[message_id(name)] = encode
 
     def message(self, number: int) -> Any | None:
-        """Return a message of `messages` as of now; None if nothing of the kind was measured yet."""
+        """Return the message with this id and the present values; None if there is no measurement for it yet."""
         return self._encoders[number]()
 
     def restart(self) -> None:
@@ -267,7 +267,7 @@ class TelemetryEncoders:
         self.news.update(dict.fromkeys((HIGHRES_IMU, DISTANCE_SENSOR, TOF), -1))
 
     def observe(self, step: ControlStep) -> None:
-        """Take a step."""
+        """Note a step as the latest one."""
         self._step, sample = step, step.sample
         if sample.imu_new:
             self._imu = sample
@@ -279,7 +279,7 @@ class TelemetryEncoders:
             self._action, self._since = step.action, step.tick
 
     def rig(self, on_top: int = 0) -> Packed:
-        """Return TWODOF_RIG, with further flags."""
+        """Return TWODOF_RIG with the further flags `on_top`."""
         controller, what = self._controller, self._identity()
         hardware, tick = controller.hardware, controller.tick & MASK_32
         flags = (RINGS if hardware.rings else 0) | (SAFETY_OFF if hardware.safety_off else 0)

@@ -4,8 +4,8 @@ A path is looked up and never handed to the system, so that no path leads out of
 descriptions and the diagrams that fly, `/controllers` the diagrams that clients have sent. All is bounded. Logs are
 fetched by LOG_REQUEST_LIST (log_download.py).
 
-COMPONENT_METADATA names the general file, which names the other. Sources: MAVLink guide, "Component Metadata
-Protocol"; schemas general and parameter, version 1.
+COMPONENT_METADATA names component_general.json, which names parameters.json. Sources: MAVLink guide, "Component
+Metadata Protocol"; schemas general and parameter, version 1.
 """
 
 import json
@@ -27,13 +27,13 @@ from twodof.link.mavlink.messages import message
 
 EXTRAS, CONTROLLERS = "/etc/extras", "/controllers"
 MAX_UPLOAD = 8 << 20
-"""Bytes of a diagram: what the loader of diagrams reads."""
+"""Largest upload [byte]: that of a diagram that the loader accepts."""
 MOST_UPLOADS = 32
 _UPLOADED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,58}\.json")
 
 
 class FileFault(LogError):
-    """A file cannot be had or written; `code` is the error of MAVLink FTP."""
+    """A file cannot be read or written; `code` is the error of MAVLink FTP."""
 
     def __init__(self, code: FtpError) -> None:
         super().__init__(code.name)
@@ -41,7 +41,7 @@ class FileFault(LogError):
 
 
 class OpenFile(NamedTuple):
-    """File that is read: its bytes or its path, and the size that it had when it was opened."""
+    """File opened for reading: its bytes or its path, and its size [byte] when it was opened."""
 
     content: bytes | Path
     size: int
@@ -57,7 +57,7 @@ class OpenFile(NamedTuple):
 
 
 class FileTree:
-    """Tree of files; `made` gives those in /etc/extras by name, `controllers` is the folder of uploads (None: none)."""
+    """Tree of files: `made` returns those in /etc/extras by name, `controllers` is the folder of uploads, if any."""
 
     def __init__(self, made: Callable[[], Mapping[str, bytes]], controllers: Path | None = None) -> None:
         self._made = made
@@ -92,7 +92,7 @@ class FileTree:
         return mavlink_crc32(file.read(0, file.size))
 
     def target(self, path: str) -> Path:
-        """Return the file of an upload to `path`. Raises FileFault where uploads are not allowed, or too many."""
+        """Return the file for an upload to `path`. Raises FileFault if it is not allowed there, or one too many."""
         folder, name = _split(path)
         if folder != CONTROLLERS or self._controllers is None or not _UPLOADED.fullmatch(name):
             raise FileFault(FtpError.PROTECTED)
@@ -133,7 +133,7 @@ class FileTree:
 
 
 def mavlink_crc32(data: bytes) -> int:
-    """CRC-32 as MAVLink FTP and PX4 compute it: zlib's polynomial, begun with 0, not inverted."""
+    """Return the CRC-32 of MAVLink FTP and PX4: zlib's polynomial, begun with 0, not inverted."""
     return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
@@ -152,10 +152,10 @@ _KINDS = MappingProxyType({"int32": "Int32", "float": "Float"})
 
 
 class Metadata:
-    """The files that describe the vehicle, and the answer to a request for COMPONENT_METADATA.
+    """The files in /etc/extras, and the answer to a request for COMPONENT_METADATA.
 
-    `files`, by name, describe the parameters, and hold the users' diagrams that fly. They are made from
-    `store`, and made anew when other parameters are listed there.
+    `files`, by name, are the descriptions of the parameters and the users' diagrams that fly. They are made from
+    `store`, and made again when other parameters are listed there.
     """
 
     def __init__(self, store: ParameterStore, time_boot_ms: Callable[[], int] = lambda: 0) -> None:
@@ -169,13 +169,13 @@ class Metadata:
         self.files: Mapping[str, bytes] = metadata_files(self._store.rows) | diagrams
 
     def message(self, _command: object = None) -> Iterable[Any]:
-        """Return COMPONENT_METADATA."""
+        """Return COMPONENT_METADATA as a list of one message."""
         made = {"file_crc": mavlink_crc32(self.files[GENERAL]), "uri": _uri(GENERAL)}
         return [message("COMPONENT_METADATA", time_boot_ms=self._time_boot_ms() & MASK_32, **made)]
 
 
 def metadata_files(rows: Sequence[VehicleParameter]) -> dict[str, bytes]:
-    """Return the files by name, made of the parameters `rows`."""
+    """Return component_general.json and parameters.json, by name, for the parameters `rows`."""
     parameters = _json({"version": 1, "parameters": [_parameter(row) for row in rows]})
     described = {"type": _PARAMETER_TYPE, "uri": _uri(PARAMETERS), "fileCrc": mavlink_crc32(parameters)}
     return {GENERAL: _json({"version": 1, "metadataTypes": [described]}), PARAMETERS: parameters}

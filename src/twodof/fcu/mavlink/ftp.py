@@ -1,8 +1,8 @@
 """MAVLink FTP: clients read descriptions of parameters, and send diagrams; each has sessions of its own.
 
-What is not in `file_tree` does not exist. Uploads need the lease, wait in memory and are written whole when their
-session ends; those that nobody goes on with make room for others. A request that comes again gets the answer that it
-got. Source: MAVLink guide, "File Transfer Protocol".
+Only the files of `file_tree` exist. Uploads need the lease, wait in memory and are written whole when their session
+ends; abandoned ones make room for others. A repeated request gets the same answer. Source: MAVLink guide, "File
+Transfer Protocol".
 """
 
 import struct
@@ -20,16 +20,16 @@ from twodof.link.connection import Received
 from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket, packed, read_packet
 
 MOST_SESSIONS = 4
-"""Sessions of one client; a fifth closes the one that was opened first, but no upload."""
+"""Most sessions of one client; one more closes the one that was opened first and is no upload."""
 MOST_WAITING = 16
-"""Requests of one client that wait; what comes beyond is for it to ask again."""
+"""Most requests of one client that wait; further ones are dropped, and the client repeats them."""
 BURST_BYTES = 35_000
-"""Most that answers one burst request, as in PX4."""
+"""Most bytes that answer one burst request, as in PX4."""
 
 
 @dataclass(slots=True)
 class FtpSession:
-    """A file being read, or an upload to `path` that waits in memory; `used`, by the clock, when it last was.
+    """A file being read, or an upload to `path` that waits in memory; `used` is the time of its last request [s].
 
     `failed`: a write was refused, so that the upload is incomplete.
     """
@@ -44,7 +44,8 @@ class FtpSession:
 def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> Iterator[FtpPacket]:
     """Yield the answer to a burst: `data` in packets of `most` bytes, then, if the file `ends` there, its end.
 
-    Each is made when it is sent: a client may ask for 35,000 packets of one byte, which takes many control periods.
+    Each packet is made when it is sent: 35,000 packets of one byte, which a client may request, take many control
+    periods.
     """
     places = range(0, len(data), most)
     for number, at in enumerate(places):
@@ -57,9 +58,9 @@ def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> Ite
 
 @dataclass(slots=True)
 class FtpClient:
-    """A client of the server, by peer and sender. Its requests are carried out in order: while it is `busy` they wait.
+    """A client of the server, by peer and sender. While a request is carried out (`busy`) its next ones wait.
 
-    `bursts` is the session whose burst is sent, -1: none.
+    `bursts` is the session whose burst is sent, -1: none. `request` and `answer` are the last ones.
     """
 
     key: tuple[Hashable, Source]
@@ -78,14 +79,14 @@ class FtpClient:
         return session.file
 
     def upload(self, request: FtpPacket) -> FtpSession:
-        """Return the session of a request, which is an upload. Raises FileFault."""
+        """Return the session of a request, if it is an upload. Raises FileFault otherwise."""
         session = self.sessions.get(request.session)
         if session is None or session.file is not None:
             raise FileFault(FtpError.SESSION)
         return session
 
     def open(self, session: FtpSession, wanted: int) -> int:
-        """Open a session, with the number `wanted` if that is free. Raises FileFault if all are uploads already."""
+        """Open a session and return its number: `wanted` if that is free. Raises FileFault if all are uploads."""
         if len(self.sessions) >= MOST_SESSIONS:
             oldest = next((number for number, one in self.sessions.items() if one.file is not None), None)
             if oldest is None:
@@ -98,10 +99,10 @@ class FtpClient:
 
 MOST_CLIENTS = 32
 A_TICK, A_TICK_ARMED = 16, 2
-"""Packets of bursts that are sent in a control period, to all clients: .9 MB/s, and little while it flies."""
+"""Packets of bursts sent in a control period, to all clients together: .9 MB/s, and few while armed."""
 
 _READING = (FtpOperation.NONE, FtpOperation.LIST, FtpOperation.READ, FtpOperation.BURST, FtpOperation.CRC32)
-"""Carried out again when they come again; the others get the same answer."""
+"""Operations that are carried out again when they are repeated; others get the same answer again."""
 
 _REFUSED = (
     *(FtpOperation.CREATE_FOLDER, FtpOperation.REMOVE_FOLDER),
@@ -112,16 +113,16 @@ MOST_UPLOADING = 2
 """Uploads that wait in memory at once, of all clients."""
 
 UPLOAD_S = 30.0
-"""An upload of which nothing came for so long makes room for another: who sent it may be gone without a word."""
+"""Time without a request after which an upload counts as abandoned and makes room for another [s]."""
 
 Answer = FtpPacket | Iterator[FtpPacket]
 """An answer, or a burst."""
 Work = Callable[[], Answer | Callable[[], Answer]]
-"""What makes the answer in the background, where the disk is read or written; or what makes it of that afterwards."""
+"""Function that makes the answer in the background, where disks are accessed, or returns one to call afterwards."""
 
 
 class FileTransfer(Service):
-    """The server of MAVLink FTP over `tree`; to write needs the lease."""
+    """Server of MAVLink FTP for the files of `tree`; writing needs the lease."""
 
     def __init__(self, vehicle: Vehicle, tree: FileTree, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(vehicle, {"FILE_TRANSFER_PROTOCOL": self._receive}, everybody=True)
@@ -321,7 +322,7 @@ class FileTransfer(Service):
         return removed
 
     def _check_lease(self, client: FtpClient) -> None:
-        """Take the lease for the client. Raises FileFault where another has it; then the client is told."""
+        """Take the lease for the client. If another client has it, tell the client and raise FileFault."""
         peer, sender = client.key
         taken = self._vehicle.take(sender, "upload")
         if not taken.accepted:

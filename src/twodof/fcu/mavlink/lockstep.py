@@ -1,4 +1,4 @@
-"""Lockstep: TWODOF_GRANT lets time run, TWODOF_TICK says how far it has; TWODOF_RIG_RESET restarts it."""
+"""Lockstep: TWODOF_GRANT lets time run, TWODOF_TICK reports the tick reached; TWODOF_RIG_RESET restarts time."""
 
 from bisect import insort
 from collections.abc import Callable, Hashable
@@ -16,11 +16,11 @@ REFUSED_FLAG = 16
 
 MOST_SEEDS = 2**32
 MOST_GRANTS = 256
-"""Grants that wait for their answer; of more the earliest are answered by the last."""
+"""Most grants that wait for their answer; beyond that the earliest are answered together with the last."""
 
 
 class Grant(NamedTuple):
-    """One that is not answered yet."""
+    """A grant of time up to the tick `until` that is not answered yet."""
 
     until: int
     number: int
@@ -28,9 +28,9 @@ class Grant(NamedTuple):
 
 
 class LockstepService(Service):
-    """Grants ticks, and answers when they have run. Last among the services, so that its answer comes after all else.
+    """Service that grants ticks and answers when they have run. It is the last service, so its answer comes last.
 
-    `rig` makes the TWODOF_RIG that answers a reset, with these flags added.
+    `rig` makes the TWODOF_RIG that answers a reset; its argument is a mask of further flags.
     """
 
     def __init__(self, vehicle: Vehicle, rig: Callable[[int], Any]) -> None:

@@ -1,8 +1,8 @@
 """Log download: LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_REQUEST_END and LOG_ERASE, for each client by itself.
 
-A client's list is numbered from 0 as in PX4. It stays as it was sent until the client asks for another, so that no
-number moves when a log is written or deleted. A log that is being written has the size that it had in the list. The
-client asks again for what got lost. Another thread reads the file, which is sent in portions.
+A client's list is numbered from 0 as in PX4. It is valid until the client requests another, so that no number moves
+when a log is written or deleted. A log that is being written keeps its size in the list. The client requests lost parts
+again. Another thread reads the file, which is sent in portions.
 """
 
 from collections import OrderedDict
@@ -22,14 +22,14 @@ from twodof.link.mavlink.messages import Packer, message
 PART = 90
 """Bytes in a LOG_DATA."""
 BLOCK = 512 * PART
-"""Bytes that are read at once."""
+"""Bytes that are read from the disk at once."""
 MOST_READERS = 16
 A_TICK, A_TICK_ARMED = 32, 4
-"""LOG_DATA and LOG_ENTRY that are sent in a control period, to all clients: .7 MB/s, and little while it flies."""
+"""LOG_DATA and LOG_ENTRY sent in a control period, to all clients together: .7 MB/s, and few while armed."""
 
 
 class LogDownload(Service):
-    """Sends the logs of `log`; erasing them needs the lease."""
+    """Service that lists, sends and erases the logs of `log`; erasing needs the lease."""
 
     def __init__(self, vehicle: Vehicle, log: OnboardLogger) -> None:
         takes = {
@@ -62,7 +62,7 @@ class LogDownload(Service):
         self._data.pop(peer, None)
 
     def _start(self, peer: Hashable) -> None:
-        """Send what a client still has to get: the list goes before the data."""
+        """Send a client the list entries and data that it has not got yet, the list first."""
         self._sender.start(peer, chain(self._entries.get(peer, ()), self._data.get(peer, ())))
 
     def _list(self, received: Received) -> None:

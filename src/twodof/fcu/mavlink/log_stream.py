@@ -1,9 +1,9 @@
 """Log streaming: the on-board log as it is written, for MAV_CMD_LOGGING_START (2510) until MAV_CMD_LOGGING_STOP (2511).
 
-What describes the log comes in LOGGING_DATA_ACKED, one at a time and again until LOGGING_ACK came; the records come in
-LOGGING_DATA, once. Each says where the first message begins in it, so that a client that lost one finds its way again.
-One client at a time, for as long as it is heard of, from a log that begins with it. Sources: the dialect of these
-messages; PX4, mavlink_ulog.cpp.
+The head of the log comes in LOGGING_DATA_ACKED, one at a time, repeated until LOGGING_ACK comes; the records come in
+LOGGING_DATA, once. Each says where its first log message begins, so that a client that lost one can go on reading. One
+client at a time gets a log that begins with its request, for as long as the client is heard. Sources: the dialect of
+these messages; PX4, mavlink_ulog.cpp.
 """
 
 from collections.abc import Hashable, Iterator
@@ -25,18 +25,18 @@ from twodof.link.mavlink.messages import message
 
 ULOG = 0
 A_TICK = 8
-"""LOGGING_DATA in a control period: .5 MB/s, where the log is .2 MB/s."""
+"""Most LOGGING_DATA in a control period: .5 MB/s, while the log grows by .2 MB/s."""
 AGAIN_PORTIONS, MOST_AGAIN = 25, 50
-"""An answer is waited for 100 ms, 50 times."""
+"""Portions (100 ms) to wait for an answer before a repetition, and most repetitions."""
 BLOCK = 1 << 16
 SILENT_PORTIONS = 2500
-"""10 s (5 s in lockstep) without any frame of the client: over UDP a client that is gone says nothing."""
+"""Portions without a frame of the client after which it counts as gone: 10 s, in lockstep 5 s."""
 LOOK_PORTIONS = 12
 """Portions between looks for more of the file, 50 ms."""
 
 
 class LogStreamClient:
-    """A client that is sent the log that begins after `before`."""
+    """A client that gets the log after the log `before`."""
 
     def __init__(self, peer: Hashable, client: Source, before: Path | None) -> None:
         self.peer, self.client, self.before = peer, client, before
@@ -46,9 +46,9 @@ class LogStreamClient:
 
 
 class LogStreamService(Service):
-    """Streams the log of `log` to the client that asked for it.
+    """Service that streams the log of `log` to the client that requested it.
 
-    To begin needs the lease: it ends the log that is being written, and a new one may push out the oldest.
+    The request needs the lease: it ends the log that is being written, and a new log may push out the oldest.
     """
 
     def __init__(self, vehicle: Vehicle, commands: CommandService, log: OnboardLogger) -> None:
@@ -61,7 +61,7 @@ class LogStreamService(Service):
         commands.on(MavCmd.LOGGING_STOP, self._stop)
 
     def handle(self, received: Received) -> bool:
-        """Note that the client is there; take its answer."""
+        """Note that the client is alive; consume its answer."""
         if self._stream is not None and source(received) == self._stream.client:
             self._stream.silent = 0
         return super().handle(received)

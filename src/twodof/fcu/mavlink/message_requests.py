@@ -1,4 +1,4 @@
-"""Requests for one message, by command 512 and older ones; versions, and missions, which are refused."""
+"""Requests for one message, by command 512 and older commands; versions; missions, which are refused."""
 
 import hashlib
 from collections.abc import Callable, Iterable
@@ -25,7 +25,7 @@ Builder = Callable[[ReceivedCommand], Iterable[Any] | None]
 
 
 class MessageRequests:
-    """Answers a request with what a builder registered for the message gives, or with a stream's message as of now."""
+    """Answers to requests for a message: from its registered builder, or the telemetry message with present values."""
 
     def __init__(self, vehicle: Vehicle, commands: CommandService, telemetry: TelemetryEncoders) -> None:
         self._vehicle = vehicle
@@ -36,12 +36,12 @@ class MessageRequests:
             commands.on(command, partial(self._send_old, message_id(name)))
 
     def on(self, name: str, builder: Builder) -> None:
-        """Register the builder of a message; it returns None for parameters that make no sense."""
+        """Register the builder of a message; a builder returns None for invalid parameters of the command."""
         self._builders[message_id(name)] = builder
 
     @property
     def supported(self) -> tuple[int, ...]:
-        """Return the ids of the messages that are given."""
+        """Return the ids of the messages that can be requested."""
         return tuple(sorted({*self._builders, *self._telemetry.messages}))
 
     def _send_old(self, number: int, command: ReceivedCommand) -> CommandResult:
@@ -71,7 +71,7 @@ CAPABILITIES = (
     *("MISSION_INT", "PARAM_FLOAT", "COMMAND_INT", "PARAM_ENCODE_BYTEWISE", "FTP", "MAVLINK2"),
     *("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "FLIGHT_TERMINATION"),
 )
-"""MAV_PROTOCOL_CAPABILITY: only what there is."""
+"""MAV_PROTOCOL_CAPABILITY of this vehicle."""
 PX4_VERSION = (1, 16, 1)
 """The PX4 whose protocol is spoken: clients of PX4 choose what they do by this number."""
 OFFICIAL = 255
@@ -114,7 +114,7 @@ ANSWERED = (
 
 
 class MissionService(Service):
-    """No missions, fences and rally points: an empty list, and a refusal of all else, so that no client waits."""
+    """Service for missions, fences and rally points, which the drone lacks: empty lists, and a refusal of all else."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, dict.fromkeys(ANSWERED, self._answer) | {"MISSION_ACK": None})

@@ -1,8 +1,8 @@
 """Parameters: PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET as PX4 answers them, PARAM_ERROR, and transactions.
 
-An int32 travels with its bits in the float field. A list begins with `_HASH_CHECK`, so that a client that has
-the values already can stop it by setting `_HASH_CHECK`. Other controllers bring other parameters: then `_HASH_CHECK`
-goes to everybody, so that a client that keeps a list asks again. A list that is being sent begins anew. Bounds are
+An int32 travels with its bits in the float field. A list begins with `_HASH_CHECK`, so that a client that has the
+values already can stop it by setting `_HASH_CHECK`. Other controllers bring other parameters: then `_HASH_CHECK` is
+sent to all clients, so that they request the list again, and a list that is being sent starts again. Bounds are
 enforced: a refused value is answered by PARAM_ERROR and the value that stays, one of the wrong type by PARAM_ERROR.
 TWODOF_PARAM_TRANSACTION sets several parameters at one tick, or none.
 """
@@ -31,13 +31,14 @@ READ_ONLY, TYPE_UNSUPPORTED, TYPE_MISMATCH, READ_FAIL = 5, 6, 7, 8
 """MAV_PARAM_ERROR."""
 HASH_INDEX = 0xFFFF
 A_TICK = 4
-"""Parameters of a list that are sent in a tick: a thousand a second."""
+"""Parameters of a list sent in a tick to each client: a thousand a second."""
 
 
 class ParameterService(Service):
-    """The parameter protocol in front of `store`.
+    """The parameter protocol for the vehicle's store.
 
-    Anybody may change the rows for tuning, unless who holds the lease withholds it. The others need the lease.
+    Any client may change parameters for tuning, unless the holder of the lease withholds it. Other parameters need the
+    lease.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -56,7 +57,7 @@ class ParameterService(Service):
         self._sender.tick()
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
-        """Change all of `wanted` or nothing; return MAV_PARAM_ERROR, the first parameter it is about, and why."""
+        """Change all of `wanted` or nothing; return MAV_PARAM_ERROR, the first faulty parameter, and the reason."""
         kept = next((name for name in wanted if name in self._store and not self._store.row(name).tuning), "")
         if kept:
             result = self._commander.lease.take(sender, f"{kept} (not for tuning)")
@@ -74,7 +75,7 @@ class ParameterService(Service):
         return NO_ERROR, "", ""
 
     def checked(self, received: Received) -> tuple[str, float | None, int]:
-        """Return name and value of a PARAM_SET, and MAV_PARAM_ERROR if the value does not fit its type."""
+        """Return name, value and MAV_PARAM_ERROR of a PARAM_SET; the value is None if the type does not fit."""
         got = received.message
         name = text(got.param_id)
         if name not in self._store:
@@ -157,7 +158,7 @@ class ParameterService(Service):
         self._vehicle.send(self._hash())
 
     def _blame(self, wanted: Mapping[str, float]) -> tuple[int, str]:
-        """Return the value that the store refused, and its MAV_PARAM_ERROR."""
+        """Return the MAV_PARAM_ERROR and the name of the first value that the store refuses."""
         for name, value in wanted.items():
             if name not in self._store:
                 return DOES_NOT_EXIST, name
@@ -183,12 +184,12 @@ def text(name: str | bytes) -> str:
 BEGIN, COMMIT, ROLL_BACK = range(3)
 """TWODOF_TRANSACTION."""
 LONGEST_TICKS = 15_000
-"""A transaction that is not ended within a minute is forgotten."""
+"""Ticks after which an open transaction is forgotten: a minute."""
 MOST_OPEN = 16
 
 
 class TransactionAnswer(NamedTuple):
-    """Result of a transaction: MAV_PARAM_ERROR, the number of PARAM_SETs, the first refused parameter, and why."""
+    """Result of a transaction: MAV_PARAM_ERROR, the number of its PARAM_SETs, the first refused one, the reason."""
 
     result: int
     have: int = 0
@@ -198,9 +199,9 @@ class TransactionAnswer(NamedTuple):
 
 @dataclass
 class Transaction:
-    """A sender's PARAM_SETs that are kept back; `fault` is the first that cannot be.
+    """PARAM_SETs of a sender that wait for COMMIT; `fault` is the first invalid one.
 
-    `ended` is the action that ended it, BEGIN while it is open; `answer` is what the sender was told then.
+    `ended` is the action that ended the transaction, BEGIN while it is open; `answer` is the answer to that action.
     """
 
     number: int
@@ -212,11 +213,10 @@ class Transaction:
 
 
 class TransactionService(Service):
-    """Stands before `parameters` and keeps back what belongs to a transaction.
+    """Service before `parameters` that holds back the PARAM_SETs of transactions until COMMIT.
 
-    Each sender has at most one. A message that comes again, with the number of what was done already, gets the
-    same answer and does nothing. A COMMIT that overtakes some of its PARAM_SETs leaves the transaction open for them,
-    and the client sends it again.
+    Each sender has at most one transaction. A repeated message of an ended one gets the same answer and has no effect.
+    A COMMIT that overtakes some of its PARAM_SETs leaves the transaction open for them, and the client repeats it.
     """
 
     def __init__(self, vehicle: Vehicle, parameters: ParameterService) -> None:

@@ -1,4 +1,4 @@
-"""A service: one MAVLink microservice of the flight controller, and what all of them share."""
+"""Base of the flight controller's MAVLink services, and the vehicle that they share."""
 
 from collections.abc import Callable, Hashable, Mapping
 from math import isfinite
@@ -17,12 +17,12 @@ from twodof.signals import TICK_MS
 
 
 def source(received: Received) -> Source:
-    """Return the sender."""
+    """Return the sender of a message: MAVLink system and component."""
     return received.frame.system, received.frame.component
 
 
 def target(sender: Source) -> dict[str, int]:
-    """Return the fields of an answer that name its addressee."""
+    """Return the target fields of an answer to `sender`."""
     return {"target_system": sender[0], "target_component": sender[1]}
 
 
@@ -34,20 +34,20 @@ def whole(value: float, default: int = 0) -> int:
 RUN_OVER = 2**32
 MASK_32 = RUN_OVER - 1
 RUN_OVER_MS = RUN_OVER // TICK_MS
-"""Ticks after which a stamp in milliseconds begins anew."""
+"""Ticks after which a 32-bit stamp in milliseconds wraps."""
 
 
 def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
-    """Return the tick that a field of 32 bits names: the one nearest to `now` that looks like `value`.
+    """Return the tick nearest to `now` that a wrapped field of 32 bits with `value` can stand for.
 
-    None is before tick 0, so until the first half of the field's range has passed it is `value` itself.
+    No tick is before 0, so in the first half of the field's range it is `value` itself.
     """
     nearest = now + (value - now + run_over // 2) % run_over - run_over // 2
     return nearest if nearest > 0 else value
 
 
 def acts_at(tick: int, now: int) -> int:
-    """Return the tick at which a message with this field acts; 0, an omitted field, is at once."""
+    """Return the tick at which a message with this `tick` field acts; 0, an omitted field, stands for at once."""
     return meant(tick, now) if tick else 0
 
 
@@ -57,14 +57,14 @@ def acts_at_ms(time_boot_ms: int, now: int) -> int:
 
 
 class TextSent(NamedTuple):
-    """The vehicle has said something in words: MAV_SEVERITY and text."""
+    """Event: the vehicle has sent a text, with its MAV_SEVERITY."""
 
     severity: int
     text: str
 
 
 class Link(Protocol):
-    """Where a service's messages go: `peer` is None for everybody on every link."""
+    """Link for the messages of a service; the peer None stands for all clients on all links."""
 
     def send(self, message: Any, peer: Hashable | None = None) -> None:
         """Send a message, or drop and count it where the peer takes no more; never wait, never raise."""
@@ -73,8 +73,8 @@ class Link(Protocol):
 class Vehicle:
     """The vehicle of all services: its address, control loop, commander and parameters, and the link to its clients.
 
-    `know_ours` are the peers that know twodof's own messages. `refused` counts what was refused in words. It publishes
-    TextSent for each refusal.
+    `know_ours` are the peers that know twodof's own messages. `refused` counts the refusals. It publishes TextSent for
+    each text.
     """
 
     def __init__(
@@ -92,36 +92,37 @@ class Vehicle:
         self.refused = 0
 
     def addressed(self, message: Any, everybody: bool = False) -> bool:
-        """Return whether a message is for us; with `everybody`, so is a message for all systems."""
+        """Return whether a message is for this vehicle or, with `everybody`, for all systems."""
         system = message.target if message.get_type() == "MANUAL_CONTROL" else message.target_system
         component = getattr(message, "target_component", 0)
         return (system == self.address[0] or (everybody and not system)) and component in (self.address[1], 0)
 
     def refuse(self, received: Received, result: CommandResult) -> None:
-        """Tell a sender, by code and in words, why its message was refused; for messages without an acknowledgement."""
+        """Send the reason for a refusal, as code and text, for messages without an acknowledgement of their own."""
         if received.peer in self.know_ours:
             code = {"message_id": received.frame.message_id, "reason": result.reason}
             self.send(message("TWODOF_REFUSED", **code, **target(source(received))), received.peer)
         self.explain(received.peer, result.text)
 
     def explain(self, peer: Hashable, why: str, severity: MavSeverity = MavSeverity.WARNING) -> None:
-        """Tell a peer in words why something was refused."""
+        """Count a refusal and send its reason to a peer as text."""
         self.refused += 1
         if why:
             self.say(why, severity, self.refused, peer)
 
     def say(self, text: str, severity: int, number: int, peer: Hashable | None = None) -> None:
-        """Send STATUSTEXT, in pieces under a number where it is long."""
+        """Send a text as STATUSTEXT, a long one in pieces under `number`; the peer None stands for all clients."""
         self.bus.publish(TextSent(severity, text))
         for piece in statustext(text, severity, number % 0xFFFF + 1):
             self.send(piece, peer)
 
 
 class Service:
-    """Translates between MAVLink and the flight controller; called from one task only.
+    """Service between MAVLink and the flight controller; called from one task only.
 
-    `takes` has a function for each message that it takes, None for one that needs no answer. A message is passed on if
-    it is for this vehicle, or, with `everybody`, for all. What comes under our own number is our own, come round.
+    `takes` has a function for each message that the service consumes, None for one that needs no answer. The function
+    is called if the message is for this vehicle or, with `everybody`, for all. A message with this vehicle's own id as
+    sender has come back over a loop of links and is ignored.
     """
 
     def __init__(
@@ -135,9 +136,9 @@ class Service:
         self._everybody = everybody
 
     def handle(self, received: Received) -> bool:
-        """Take a message; False leaves it to the next service. Answers go to `received.peer`.
+        """Handle a message; return False to leave it to the next service. Answers go to `received.peer`.
 
-        Any field of a message may hold any value. Never raises on them.
+        Any field of a message may hold any value; none of them may raise an exception.
         """
         got, vehicle = received.message, self._vehicle
         name = got.get_type()
@@ -147,7 +148,7 @@ class Service:
         return name in self._takes
 
     def after(self, step: ControlStep) -> None:
-        """Act after a control period; fast when nothing is due."""
+        """Act after a control period; quick when nothing is due."""
 
     def restart(self) -> None:
         """Restart at tick 0."""

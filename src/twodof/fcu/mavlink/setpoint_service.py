@@ -18,19 +18,19 @@ from twodof.link.mavlink.messages import ExcitationReceiver, message
 from twodof.link.mavlink.setpoints import SetPoint, read_attitude, read_position
 
 TOLD_TICKS = 250
-"""A refusal is told in words once a second at most to each source; all are counted."""
+"""Ticks between two texts about refusals to one source; all refusals are counted."""
 MOST_TOLD = 16
-"""Sources that are told in a second; a flood under ever new numbers costs no more words."""
+"""Most sources that get a text in this time, so that a flood under ever new ids makes few texts."""
 
 FULL_STICK = 1000
 """MANUAL_CONTROL's largest value."""
 
 
 class SetpointService(Service):
-    """Hands set-points to the commander, and tells a client why one is refused.
+    """Service that passes set-points to the commander and tells a client the reason for a refusal.
 
-    In lockstep `time_boot_ms` names the tick at which one acts; in real time it is a clock that nobody knows, and it
-    acts at once.
+    In lockstep a set-point acts at the tick of its `time_boot_ms`. In real time it acts at once, since that is the time
+    of an unknown clock.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -59,7 +59,7 @@ class SetpointService(Service):
         self._told.clear()
 
     def _may_tell(self, sender: Source) -> bool:
-        """Return whether this sender, and not too many others, were told lately."""
+        """Return whether this sender may get a text: neither it nor too many others have got one lately."""
         while self._told and self._tick - next(iter(self._told.values())) >= TOLD_TICKS:
             self._told.popitem(last=False)
         if sender in self._told or len(self._told) >= MOST_TOLD:
@@ -69,7 +69,7 @@ class SetpointService(Service):
 
     def _target(self, setpoint: SetPoint | None, got: Any, sender: Source) -> CommandResult:
         if setpoint is None:
-            return self._commander.refuse(RefusalReason.NOTHING, "it asks for nothing that is flown here")
+            return self._commander.refuse(RefusalReason.NOTHING, "it asks for nothing that this drone can fly")
         at_tick = acts_at_ms(got.time_boot_ms, self._tick) if self._commander.lockstep else 0
         return self._commander.setpoint(sender, setpoint, at_tick)
 
@@ -89,13 +89,13 @@ REASON_BYTES = 80
 
 
 Definition = tuple[Source, int, int, int]
-"""Which definition pieces belong to: sender, transfer, checksum, length."""
+"""Identity of a definition sent in pieces: sender, transfer, checksum, length."""
 
 
 class ExcitationService(Service):
-    """Puts definitions together, hands them to the commander, and tells everybody how the excitation stands.
+    """Service that assembles definitions, passes them to the commander, and sends the excitation's state to all.
 
-    Writing a definition out may take a second: it is done beside the control loop, but in lockstep, where time waits.
+    Sampling a definition may take a second: it is done beside the control loop, in lockstep at once, as time waits.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:

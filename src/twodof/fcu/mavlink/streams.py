@@ -23,13 +23,13 @@ from twodof.link.mavlink.messages import message
 from twodof.signals import TICK_NS
 
 STOPPED, WITH_NEWS = -1, 0
-"""Intervals that are none: not sent; sent with each news and at no other time."""
+"""Special intervals: not sent, and sent at each change or new sample only."""
 LONGEST_US = 2.0**31
 MOST_OFFSET = 250
 
 
 def due_ticks(tick: int, interval_ns: int, offset: int) -> tuple[int, int]:
-    """Return the last tick up to `tick` in which a stream of that interval [ns] is due, and the first after it."""
+    """Return the last tick up to `tick` at which a stream of this interval [ns] is due, and the first one after."""
     intervals = (tick + offset) * TICK_NS // interval_ns
     last, following = (-(-count * interval_ns // TICK_NS) - offset for count in (intervals, intervals + 1))
     return last, following
@@ -37,7 +37,7 @@ def due_ticks(tick: int, interval_ns: int, offset: int) -> tuple[int, int]:
 
 @dataclass(slots=True)
 class MessageStream:
-    """One message at one interval [ns] to `peers`: the tick in which it was due last, and the one in which it is."""
+    """One message at one interval [ns] to `peers`: the tick at which it was due `last`, and the next one, `due`."""
 
     number: int
     interval: int
@@ -47,11 +47,11 @@ class MessageStream:
 
 
 FLAG_TICKS = 25
-"""The failsafe's flags alone, which noise may flip, are told at most ten times a second."""
+"""Ticks between two messages about the failsafe's flags alone, which noise may flip."""
 
 
 class ChangeDetector:
-    """Compares each step with the one before."""
+    """Detector of changes from step to step that are to be sent at once."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._controller = vehicle.controller
@@ -62,7 +62,7 @@ class ChangeDetector:
         self._before: dict[int, tuple[Any, ...]] = {}
 
     def seen(self, step: ControlStep) -> list[int]:
-        """Return the ids of the messages that have news in this step."""
+        """Return the ids of the messages whose content changes in this step."""
         found = [TOF] if step.sample.dist_new else []
         safety = (step.action, step.state, step.armed, step.reason, self._commander.arming.killed_by)
         if safety != self._safety or (step.causes != self._causes and abs(step.tick - self._told) >= FLAG_TICKS):
@@ -83,9 +83,8 @@ class ChangeDetector:
 class StreamService(Service):
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
-    `profile` gives the rates of a client that says nothing (`link.mavlink.dialect.PROFILES`); twodof's own messages
-    go to those only that know them. A sensor's message is left out where the sensor has given nothing since the stream
-    was due last. Messages in `changes` come at each change, too.
+    `profile` gives the default rates of a client (`link.mavlink.dialect.PROFILES`); twodof's own messages are sent only
+    to clients that know them. A sensor's message is left out if there is no new sample since the stream was due last.
     """
 
     def __init__(
@@ -143,7 +142,7 @@ class StreamService(Service):
         self._telemetry.restart()
 
     def _begin(self, peer: Hashable, ours: bool) -> None:
-        """Send a client twodof's own messages, or the others, at their default rates."""
+        """Start the default streams of a client: twodof's own messages if `ours`, else the others."""
         self._intervals.setdefault(peer, {})
         for number, interval in self._defaults.items():
             if (number >= FIRST_OWN_ID) is ours:
@@ -155,7 +154,7 @@ class StreamService(Service):
         self._intervals.pop(left.peer, None)
 
     def _plan(self, tick: int) -> None:
-        """Let all streams be due after `tick`."""
+        """Plan the next due tick of all streams after `tick`."""
         self._tick = tick
         for (number, interval), stream in self._streams.items():
             stream.last, stream.due = due_ticks(tick, interval, number % MOST_OFFSET)
@@ -226,7 +225,7 @@ PERIOD_TICKS = 250
 
 
 class Heartbeat(Service):
-    """Says that the vehicle is there, also to peers that were silent so far: many clients wait for it first."""
+    """Service that sends the heartbeat, also to peers that were silent so far: many clients wait for it first."""
 
     def __init__(self, vehicle: Vehicle, telemetry: TelemetryEncoders) -> None:
         super().__init__(vehicle, {"HEARTBEAT": None})

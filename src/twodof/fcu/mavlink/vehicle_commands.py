@@ -21,13 +21,13 @@ from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.modes import BY_NUMBER, MODES
 
 FORCE = 21196
-"""Second parameter of command 400: a disarming with it is a kill."""
+"""Second parameter of command 400 that makes a disarming a kill."""
 MOST_CODE, REBOOT_AUTOPILOT = 4, 1
 """REBOOT_SHUTDOWN_ACTION."""
 
 
 class ArmingCommands:
-    """Hands arming and stopping to the commander, and a restart to `restart` (None: it cannot restart)."""
+    """Commands for arming and stopping, which go to the commander, and for a restart by `restart` (None: refused)."""
 
     def __init__(self, vehicle: Vehicle, commands: CommandService, restart: Callable[[], None] | None = None) -> None:
         self._vehicle = vehicle
@@ -48,11 +48,11 @@ class ArmingCommands:
         return self._commander.arming.disarm(command.source)
 
     def _armed(self, _command: ReceivedCommand) -> CommandResult:
-        """Return what became of it, once that is known."""
+        """Return the result of a request to arm, IN_PROGRESS until it is known."""
         return self._commander.arming.answer
 
     def _check(self, command: ReceivedCommand) -> CommandResult:
-        """Tell the sender in words what the checks find, which the failsafe makes at every tick."""
+        """Send the findings of the pre-arm checks, which the failsafe makes at every tick, as text."""
         if not self._commander.armed and (against := self._commander.arming.obstacles()):
             self._vehicle.explain(command.peer, f"arming is not possible: {against}")
         return DONE
@@ -85,7 +85,7 @@ _CUSTOM = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
 class ModeService(Service):
-    """SET_MODE and the commands 176 and 262; AVAILABLE_MODES on request; two messages for the streams."""
+    """Service for SET_MODE and the commands 176 and 262; AVAILABLE_MODES on request; two streamed messages."""
 
     def __init__(
         self, vehicle: Vehicle, commands: CommandService, requests: MessageRequests, telemetry: TelemetryEncoders
@@ -117,7 +117,7 @@ class ModeService(Service):
     def _set(self, command: ReceivedCommand) -> CommandResult:
         base, main, sub = (whole(value, -1) for value in command.params[:3])
         if base < 0 or not base & _CUSTOM or not 0 <= main <= 255:
-            return denied("a mode is asked for with base mode 1 and PX4's main and sub mode")
+            return denied("a mode is set by base mode 1 and PX4's main and sub mode")
         return self._commander.set_mode(command.source, main << 16 | (max(sub, 0) & 0xFF) << 24)
 
     def _set_standard(self, command: ReceivedCommand) -> CommandResult:
@@ -147,10 +147,11 @@ MOST_WAITING = 16
 
 
 class StorageCommand:
-    """As in PX4 while disarmed only. Each answer comes when what flies is on the disk, or says why it is not.
+    """Command to store, load or reset parameters, while disarmed only, as in PX4.
 
-    The control loop does not wait for the disk: it asks after each control period. In lockstep, where periods may
-    stand still, the command itself waits.
+    Each answer comes when the present values are on the disk, or gives the reason why they are not. The control loop
+    does not wait for the disk but looks after each control period. In lockstep, where periods may stand still, the
+    command itself waits.
     """
 
     def __init__(self, vehicle: Vehicle, commands: CommandService) -> None:
@@ -169,7 +170,7 @@ class StorageCommand:
         if self._commander.armed:
             return rejected("parameters are stored and reset while disarmed only", RefusalReason.ARMED)
         if len(self._waiting) >= MOST_WAITING:
-            return rejected(f"{MOST_WAITING} others wait for the disk: ask again")
+            return rejected(f"{MOST_WAITING} others wait for the disk: try again later")
         if action in (RESET_CONFIG, RESET_ALL):
             taken = self._commander.lease.take(command.source, "reset of the parameters")
             if not taken.accepted:
@@ -186,7 +187,7 @@ class StorageCommand:
         return self._stored(command)
 
     def _stored(self, command: ReceivedCommand) -> CommandResult:
-        """Return whether it is stored."""
+        """Return the result of a command that waits for the disk, IN_PROGRESS until it is known."""
         result = DONE
         try:
             if self._lockstep:
@@ -203,15 +204,14 @@ ASK = 1.0
 
 
 class ReloadCommand:
-    """Builds the flight code of the controllers in the folder of uploads, and flies it from then on, at MAV_CMD_USER_1.
+    """Command MAV_CMD_USER_1: build the flight code of the uploaded controllers and fly it from then on.
 
-    It does so disarmed only. The answer comes when the controllers fly, or says why they do not. Where the command's
-    first number is `ASK`, it only tells whether there is what that takes, and takes no lease: a client asks so before
-    it uploads. What could not be built is not among the uploads any more: they are what flies, also for a later
-    command.
+    It needs a disarmed drone. The answer comes when the controllers fly, or gives the reason why they do not. If the
+    command's first number is `ASK`, it only reports whether uploads can be built, and needs no lease: a client asks
+    this before it uploads. Uploads that cannot be built are deleted, so that the folder holds what flies.
 
-    It compiles for seconds, in a thread beside the control loop. Nobody may arm during that time (`building`), since
-    both threads want the interpreter. `flies` is called before the first tick in which the new controllers fly.
+    Compiling takes seconds, in a thread beside the control loop. Arming is refused meanwhile (`building`), since both
+    threads need the interpreter. `flies` is called before the first tick in which the new controllers fly.
     """
 
     def __init__(
@@ -237,7 +237,7 @@ class ReloadCommand:
 
     def _reload(self, command: ReceivedCommand) -> CommandResult:
         if self._controllers.uploads is None:
-            return unsupported("it keeps no uploads: start it with a folder for its state")
+            return unsupported("uploads are not kept: start the drone with a folder for its state")
         if self._commander.armed or self._commander.arming.pending:
             return rejected("no other controller while armed: disarm first", RefusalReason.ARMED)
         if command.params[0] == ASK:
@@ -273,7 +273,7 @@ class ReloadCommand:
 
 
 def _equipped() -> CommandResult:
-    """Check that the sandbox can be made here."""
+    """Return DONE if the sandbox can be built on this computer, else the refusal."""
     try:
         check_ready()
     except CompileError as lack:

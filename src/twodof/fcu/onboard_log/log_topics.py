@@ -1,7 +1,7 @@
 """Topics of the on-board log: every number of a step in one row, and the topics of PX4.
 
 PlotJuggler, Flight Review and pyulog show a flight by PX4's names. Topics and fields are those of PX4 v1.16 (msg/), as
-far as this vehicle has them. Roll, yaw, y and z are 0: the rail is the local x axis. What PX4 leaves open is NaN.
+far as this vehicle has them. Roll, yaw, y and z are 0: the rail is the local x axis. Values unknown in PX4 are NaN.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ _PARTS = ("tick", "sample", "asked")
 
 
 def _columns() -> list[tuple[str, type]]:
-    """Return name and type of each number of a step, in order; inputs are `asked_...`, as x0 is an output too."""
+    """Return name and type of each number of a step, in order; requested inputs are called `asked_...`."""
     sample, asked, step = get_type_hints(SensorSample), get_type_hints(ControlInput), get_type_hints(ControlStep)
     return [
         *((name, sample[name]) for name in SensorSample._fields),
@@ -37,9 +37,9 @@ def _columns() -> list[tuple[str, type]]:
 
 COLUMNS = _columns()
 FORMAT = "uint64_t timestamp;uint32_t tick;" + "".join(f"{_CODES[kind][1]} {name};" for name, kind in COLUMNS)
-"""How ULog describes a row: every number in the precision in which it was computed."""
+"""ULog's format of a row: every number in the precision in which it was computed."""
 ROW = np.dtype([("timestamp", "<u8"), ("tick", "<u4"), *((name, _CODES[kind][2]) for name, kind in COLUMNS)])
-"""The same for numpy, without padding."""
+"""numpy's layout of a row, without padding."""
 
 _PACK = Struct("<QI" + "".join(_CODES[kind][0] for _, kind in COLUMNS))
 _TICK_BITS = 0xFFFFFFFF  # it runs over after 198 days, the timestamp does not
@@ -52,13 +52,13 @@ def pack(step: ControlStep) -> bytes:
 
 
 def row_names() -> tuple[str, ...]:
-    """Return the names of the columns behind `timestamp` and `tick`."""
+    """Return the names of the columns after `timestamp` and `tick`."""
     return tuple(name for name, _ in COLUMNS)
 
 
 Rows = NDArray[np.void]
 Value = str | float | tuple[str | float, ...] | Callable[[Rows], Any]
-"""What a field holds: a column of the rows, a number, several of them side by side, or a function of the rows.
+"""Value of a field: a column of the rows, a number, several of them side by side, or a function of the rows.
 
 A minus sign before a column's name negates it.
 """
@@ -67,7 +67,7 @@ BATTERY_TICKS, STATUS_TICKS = 125, 125
 MOTOR_PAIRS = ("fore", "aft", "fore", "aft")
 """The rotor pair of PX4's motors 1 to 4 of a quadrotor in X: front right, back left, front left, back right."""
 NAV_STATES = {"off": 0, "open-loop": 14, "rate": 14, "attitude": 14, "velocity": 14, "position": 14}
-"""PX4's nav_state for each of `signals.MODES`: manual, and offboard for what flies a set-point."""
+"""PX4's nav_state for each of `signals.MODES`: manual for off, offboard for all others."""
 _DISARMED, _ARMED = 1, 2
 
 
@@ -85,10 +85,10 @@ def _changed(rows: Rows) -> NDArray[np.bool_]:
 
 
 class LoggedTopic(NamedTuple):
-    """A topic of PX4: `text` says what it holds and when, `fields` what stands behind the time stamp, as in ULog.
+    """A topic of PX4: `text` says what it holds and when; `fields` is ULog's format after the time stamp.
 
-    `values` are what the fields hold, 0 where it names none. `when` chooses the steps in which it is written, `stamp`
-    says when it was measured [us] if not at the step.
+    `values` has the values of the fields by name; others are 0. `when` chooses the steps in which the topic is written,
+    `stamp` is the time of the measurement [us], by default that of the step.
     """
 
     name: str
@@ -100,7 +100,7 @@ class LoggedTopic(NamedTuple):
 
     @property
     def format(self) -> str:
-        """Return ULog's description of its records."""
+        """Return ULog's format of the topic's records."""
         return f"uint64_t timestamp;{self.fields};"
 
 
@@ -115,7 +115,7 @@ def _quaternion(name: str) -> Value:
 
 
 def _measured_us(rows: Rows) -> NDArray[np.int64]:
-    """Return when the range was measured."""
+    """Return the time at which the range was measured [us]."""
     age_us = np.nan_to_num(rows["dist_age"] * 1e6, nan=0.0, posinf=0.0, neginf=0.0)
     return np.maximum(rows["timestamp"].astype(np.int64) - np.clip(age_us, 0.0, 1e6).astype(np.int64), 0)
 

@@ -1,4 +1,4 @@
-"""The folder of on-board logs, bounded, and the writer that turns rows of steps into ULog files there."""
+"""The folder of on-board logs, bounded in size, and the writer of rows of steps into ULog files there."""
 
 import os
 import re
@@ -22,7 +22,7 @@ from twodof.flightlog.ulog_writer import MESSAGE, ULogWriter
 
 MAX_BYTES = 2 << 30
 MAX_NUMBER = 65_000
-"""LOG_ENTRY counts in 16 bits."""
+"""Largest number of a log: LOG_ENTRY counts in 16 bits."""
 
 _NAME = re.compile(r"log_(\d{5})\.ulg")
 
@@ -38,10 +38,10 @@ class StoredLog:
 
 
 class LogFolder:
-    """Logs as log_00001.ulg and so on in the folder `path`, which is made; `max_bytes` and `max_logs` bound them."""
+    """Folder `path` of logs log_00001.ulg and so on, made if need be, with at most `max_bytes` and `max_logs`."""
 
     def __init__(self, path: str | Path, max_bytes: int = MAX_BYTES, max_logs: int = 100) -> None:
-        """Make the folder. Raises LogError where it cannot be made."""
+        """Make the folder. Raises LogError if it cannot be made."""
         self.path = Path(path)
         self.max_bytes, self.max_logs = max_bytes, max_logs
         try:
@@ -53,7 +53,7 @@ class LogFolder:
 
     @property
     def most_of_one(self) -> int:
-        """Return the bytes after which a log goes on in a new file: `read_log` reads it, four fit in the folder."""
+        """Return the size [byte] after which a log goes on in a new file: `read_log` reads it, and four fit here."""
         return min(self.max_bytes // 4, MAX_FILE_BYTES // 2)
 
     def logs(self) -> list[StoredLog]:
@@ -62,7 +62,8 @@ class LogFolder:
         try:
             paths = [*self.path.iterdir()]
         except OSError as refusal:
-            raise LogError(f"cannot be listed: {refusal.strerror}", str(self.path), "see that it is there") from refusal
+            remedy = "check that the folder exists and can be read"
+            raise LogError(f"cannot be listed: {refusal.strerror}", str(self.path), remedy) from refusal
         for path in paths:
             match = _NAME.fullmatch(path.name)
             with suppress(OSError):
@@ -103,27 +104,28 @@ def _delete(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as refusal:
-        raise LogError(f"cannot be deleted: {refusal.strerror}", str(path)) from refusal
+        remedy = "let this user delete files in the folder"
+        raise LogError(f"cannot be deleted: {refusal.strerror}", str(path), remedy) from refusal
 
 
 MARGIN = 250
-"""Steps that a log has before arming and after disarming."""
+"""Number of steps in a log before arming and after disarming."""
 LINES = 64
 HEAD_BYTES = 20_000
-"""Room for what stands before the steps but parameters, of which formats are 5 kB."""
+"""Bytes reserved for the head of a log without parameters; formats take 5 kB."""
 PARAMETER_BYTES = 64
-"""At most, of one that stands before the steps or changes: header, type, a name of 16 characters and value."""
+"""Most bytes of one parameter in a log: header, type, a name of 16 characters and value."""
 RETRY_S = 10.0
-"""A disk that refused is tried again after so long, or when the next log is due."""
+"""Time after which a disk that refused is tried again [s], if no new log is due before."""
 
 FORMATS: Mapping[str, str] = {STEP_TOPIC: FORMAT, **{topic.name: topic.format for topic in PX4_TOPICS}}
 
 
 class LogWriter:
-    """Writes rows of steps into the logs of `folder`, as SDLOG_MODE says; called from one thread.
+    """Writer of rows of steps into the logs of `folder`, as SDLOG_MODE says; called from one thread.
 
-    Each log begins with what `describe` was given and with all parameters. `failure` is why the last log ended or did
-    not begin, `missed` counts rows that were to be logged and are in none.
+    Each log begins with the facts given to `describe` and with all parameters. `failure` is the reason why the last log
+    ended early or did not begin; `missed` counts rows that were to be logged and are in no log.
     """
 
     def __init__(self, folder: LogFolder, parameters: Mapping[str, float]) -> None:
@@ -146,19 +148,19 @@ class LogWriter:
 
     @property
     def path(self) -> Path | None:
-        """Return the log being written."""
+        """Return the log being written, None if there is none."""
         return self._writer.path if self._writer is not None else None
 
     def request(self, wanted: bool) -> None:
-        """Log whether armed or not from here on, or as the mode says again."""
+        """Log always from here on (`wanted`), or again only when SDLOG_MODE says so."""
         self._requested = wanted
 
     def describe(self, info: Mapping[str, str | int]) -> None:
-        """Set the facts of the flight, for the logs that begin from here on."""
+        """Set the facts of the flight for the logs that begin from here on."""
         self._info = info
 
     def rows(self, rows: Rows) -> None:
-        """Log steps (n,), laid out as `ROW`; a tick before the last one is a restart, a new log."""
+        """Log steps (n,), laid out as `ROW`; a tick before the last one is a restart and begins a new log."""
         ticks = rows["tick"].astype(np.int64)
         breaks = np.flatnonzero(np.diff(ticks, prepend=self._tick) <= 0)
         at = 0
@@ -170,21 +172,21 @@ class LogWriter:
             at = end
 
     def text(self, level: str, line: str) -> None:
-        """Log a line for the reader; one that comes shortly before a log begins is the first in it."""
+        """Log a line of text; the lines shortly before a log begins are its first ones."""
         if self._writer is None:
             self._lines.append((level, self._stamp_us, line))
         else:
             self._guarded(lambda writer: writer.text(level, self._stamp_us, line))
 
     def parameters(self, values: Mapping[str, float], relisted: bool) -> None:
-        """Take changed parameters, or all; new and changed ones go into the log being written. SDLOG_MODE acts."""
+        """Note changed parameters, or all of a new list (`relisted`); log those that have changed."""
         before = self._parameters
         self._parameters = dict(values) if relisted else before | dict(values)
         changed = {name: value for name, value in values.items() if before.get(name) != value}
         self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in changed.items()])
 
     def dropped(self, count: int, lost_ms: int) -> None:
-        """Log that `count` rows are missing, over `lost_ms`."""
+        """Log that `count` rows are missing, over `lost_ms` [ms]."""
         self.missed += count
         self._guarded(lambda writer: writer.dropout(lost_ms, self._stamp_us))
 
@@ -227,7 +229,7 @@ class LogWriter:
         self._tick = int(rows["tick"][-1])
 
     def _wanted(self, armed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which of the next steps will be logged."""
+        """Return a flag for each of the next steps (n,): True if it is to be logged."""
         index = np.arange(len(armed))
         last = np.maximum.accumulate(np.where(armed, index, -1))
         since = np.where(last >= 0, index - last, index + 1 + self._since_armed)

@@ -1,4 +1,4 @@
-"""OnboardLog: every step of a flight in ULog files on board; the control loop only hands rows over."""
+"""OnboardLogger: every step of a flight in ULog files on board, written by a thread beside the control loop."""
 
 import struct
 import threading
@@ -25,23 +25,23 @@ LONGEST_QUEUE = 20_000
 """Rows that may wait for the disk, 6 MB: 80 s of real time."""
 LOCKSTEP_WAIT_S = 30.0
 LISTING_S = 10.0
-"""How long the disk may take until the logs are listed [s]."""
+"""Longest wait for the disk before the logs are listed [s]."""
 _PAUSE_S = 0.2
 _AT_ONCE = 4096
 
 ABOUT = MappingProxyType({"ver_hw": "TWODOF", "ver_sw": __version__, "sys_os_name": "Linux"})
 
 Note = Callable[[LogWriter], object]
-"""What stands between rows: something that the writer is to do."""
+"""Task for the writer, queued between rows."""
 
 
 class OnboardLogger:
-    """Logs steps into `folder` as SDLOG_MODE of `store` says; hand `step` to the control loop as a listener.
+    """Logger of steps into `folder`, as SDLOG_MODE of `store` says; `step` is a listener of the control loop.
 
-    `step` never waits in real time: while the disk is too slow rows are dropped and counted in `dropped`, with a mark
+    `step` never waits in real time: while the disk is too slow, rows are dropped and counted in `dropped`, with a mark
     in the log. In `lockstep` it waits for the disk instead, so that nothing is missing. Whatever the disk does, the
-    flight goes on: `failure` says why a log ended or did not begin. `info` gives the facts of the flight (rig, seed,
-    controller); it is asked when time begins and at each arming.
+    flight goes on: `failure` says why a log ended early or did not begin. `info` returns the facts of the flight (rig,
+    seed, controller); it is called when time begins and at each arming.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class OnboardLogger:
         info: Callable[[], Mapping[str, str | int]] = dict,
         max_bytes: int = MAX_BYTES,
     ) -> None:
-        """Make the folder and start the thread. Raises LogError where the folder cannot be made."""
+        """Make the folder and start the thread. Raises LogError if the folder cannot be made."""
         self.folder = LogFolder(folder, max_bytes, int(store["SDLOG_DIRS_MAX"]))
         self.lockstep = lockstep
         self.dropped = 0
@@ -72,12 +72,12 @@ class OnboardLogger:
     def failure(self) -> TwodofError | None:
         """Return why the last log ended early or could not begin; None while all is well."""
         if not self._thread.is_alive() and not self._closed:
-            return LogError("its thread ended by a fault of its own", str(self.folder.path), "report it")
+            return LogError("the logger's thread ended by a fault of its own", str(self.folder.path), "report it")
         return self._writer.failure
 
     @property
     def missed(self) -> int:
-        """Return the number of rows in no log: the disk refused them, or they were dropped."""
+        """Return the number of rows that are in no log: refused by the disk, or dropped."""
         return self._writer.missed
 
     @property
@@ -106,7 +106,7 @@ class OnboardLogger:
         queue.append(row)
 
     def note(self, level: str, line: str) -> None:
-        """Log a line for the reader: "error", "warning", "info" or "debug"."""
+        """Log a line of text with a level: "error", "warning", "info" or "debug"."""
         self._put(lambda writer: writer.text(level, line))
 
     def remark(self, severity: int, text: str) -> None:
@@ -114,7 +114,7 @@ class OnboardLogger:
         self.note("error" if severity <= 3 else "warning" if severity == 4 else "info", text)
 
     def start(self) -> None:
-        """Log from the next step on whether armed or not, until `stop`."""
+        """Log from the next step on, armed or not, until `stop`."""
         self._put(lambda writer: writer.request(True))
 
     def stop(self) -> None:
@@ -126,10 +126,7 @@ class OnboardLogger:
         self._put(LogWriter.end)
 
     def logs(self) -> list[StoredLog]:
-        """Return the logs by rising number, also the one being written, with all rows so far.
-
-        Raises LogError.
-        """
+        """Return the logs by rising number, with the one being written and all its rows so far. Raises LogError."""
         if self._thread.is_alive():
             with suppress(LogError):  # a disk that is silent: what is on it is listed
                 self._ask(_flush, LISTING_S)
@@ -140,7 +137,7 @@ class OnboardLogger:
         return self.folder.erase(self.path)
 
     def flush(self, deadline_s: float = 10.0) -> None:
-        """Wait until all rows are on the disk. Raises LogError when they are not within the deadline."""
+        """Wait until all rows are on the disk. Raises LogError if they are not there within `deadline_s` [s]."""
         self._ask(_flush, deadline_s)
         if self.failure is not None:
             raise LogError(self.failure.what, self.failure.where, self.failure.remedy)
@@ -163,7 +160,7 @@ class OnboardLogger:
         self.close()
 
     def _changed(self, store: ParameterStore, names: Container[str] | None) -> None:
-        """Log the parameters of these names; None: the list is another one."""
+        """Log the parameters of these names; None: all, because the list has changed."""
         values = {row.name: store[row.name] for row in store.rows if names is None or row.name in names}
         self.folder.max_logs = int(store["SDLOG_DIRS_MAX"])
         self._put(lambda writer: writer.parameters(values, relisted=names is None))

@@ -1,4 +1,4 @@
-"""Store: the vehicle's parameters, bounded and typed, changed all or none, kept in a file that no crash can tear."""
+"""Store of the vehicle's parameters: bounded and typed, changed all or none, kept in a file that survives a crash."""
 
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,34 +14,34 @@ from twodof.parameters import TUNABLES, ParameterSet, float32_decimal
 
 HASH_NAME = "_HASH_CHECK"
 MOST_TUNED = 8
-"""Controllers whose tuning is kept, those that fly now included."""
+"""Most controllers whose tuning is kept, with those that fly now."""
 SAVE_S = 5.0
-"""A disk that has not answered for so long has not stored."""
+"""Deadline for the disk to store the values [s]."""
 
 
 class ParametersChanged(NamedTuple):
-    """Values have changed: the new ones, under every name that they have."""
+    """Event: values have changed. `values` has the new ones, under every name of each parameter."""
 
     values: Mapping[str, float]
 
 
 class ParametersRelisted(NamedTuple):
-    """Other parameters are in the list than before."""
+    """Event: the list has other parameters than before."""
 
 
 class ParameterStore(Mapping[str, float]):
-    """The parameters of the vehicle `system`, those in the file `path` taken over; `for row in store.rows` lists them.
+    """The parameters of the vehicle `system`, with the values of the file `path`; `store.rows` describes them.
 
-    A value is read by any of its names, int for int32. A float is kept as the shortest decimal that float32 rounds to
-    the same. So 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
+    A value is read by any of its names; an int32 is an int. A float is kept as the shortest decimal that rounds to the
+    same float32. So 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
 
-    With `carry` the parameters of a user's controllers are in the list too.
+    `carry` adds the parameters of a user's controllers to the list.
 
-    It publishes ParametersChanged and ParametersRelisted on `bus` (None: one of its own).
+    It publishes ParametersChanged and ParametersRelisted on `bus` (None: a new one).
 
-    Everything is called from one thread; reading values is safe from any. The file is written by a thread of its own
-    after changes; a disk that fails shows in `failure` and stops nothing. `remarks` says what of the file could not be
-    taken over. Closed by `close` or at the end of `with`.
+    Call everything from one thread; only reading values is safe from any. A thread of its own writes the file after
+    changes; an error of the disk shows in `failure` and stops nothing. `remarks` says which values of the file could
+    not be used. Close it by `close` or at the end of `with`.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class ParameterStore(Mapping[str, float]):
         values: Mapping[str, float] | None = None,
         bus: OnboardEventBus | None = None,
     ) -> None:
-        """Read the file; `values` go over it. Raises ParameterError as `update` does."""
+        """Read the file; `values` take precedence over it. Raises ParameterError as `update` does."""
         self._system = system
         self._users: tuple[UserParameters, ...] = ()
         self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
@@ -93,7 +93,7 @@ class ParameterStore(Mapping[str, float]):
         return self.rows[self.index(name)]
 
     def index(self, name: str) -> int:
-        """Return the place of `name` in `rows`, PARAM_VALUE's param_index. Raises ParameterError for an unknown one."""
+        """Return the index of `name` in `rows`, which is PARAM_VALUE.param_index. Raises ParameterError if unknown."""
         index = self._index.get(name)
         if index is None:
             raise ParameterError("no such parameter", str(name)[:40], f"there are {len(self.rows)}: list them")
@@ -117,10 +117,10 @@ class ParameterStore(Mapping[str, float]):
         return {path: value for one in self._users for path, value in one.flying(self._set).items()}
 
     def carry(self, users: Sequence[UserParameters]) -> tuple[str, ...]:
-        """List the parameters of these controllers, which fly from now on, in place of the earlier ones'.
+        """List the parameters of the controllers `users`, which fly from now on, in place of the earlier ones.
 
-        Each controller has the values that were stored of the very same diagram, else its defaults. Returns remarks on
-        that, for the clients. The others keep their values.
+        A controller gets the values that were stored for exactly the same diagram, else its defaults. Return remarks on
+        that, for the clients. All other parameters keep their values.
         """
         if [one.identity for one in users] == [one.identity for one in self._users]:
             return ()
@@ -156,7 +156,7 @@ class ParameterStore(Mapping[str, float]):
         locked = [name for name, value in good.items() if self.row(name).disarmed and value != self._set[name]]
         faults += [f"{name}: is changed only while disarmed" for name in locked if armed]
         if faults:
-            raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
+            raise ParameterError("; ".join(faults), "parameters", "correct these values; nothing was changed")
         before = self._set.snapshot()
         self._set.update(good)
         main = {row.name: row.of or row.name for row in self.rows}
@@ -178,15 +178,15 @@ class ParameterStore(Mapping[str, float]):
         return crc ^ 0xFFFFFFFF
 
     def save(self) -> Callable[[], bool] | None:
-        """Write all values now, without waiting. Return a question to the disk, None without a file.
+        """Write all values now, without waiting. Return a function that tells if they are stored, None without a file.
 
-        The question tells whether the values are on the disk by now. It raises ParameterError where the disk has
-        refused, or was silent for `SAVE_S`.
+        The function returns True once the values are on the disk. It raises ParameterError if the disk has refused, or
+        has not answered for `SAVE_S`.
         """
         return None if self._file is None else self._file.save(SAVE_S)
 
     def flush(self, deadline_s: float = 10.0) -> None:
-        """Wait until the file holds all values. Raises ParameterError where the disk refuses or is silent."""
+        """Wait until the file holds all values. Raises ParameterError if the disk refuses or does not answer."""
         if self._file is not None:
             self._file.flush(deadline_s)
 
@@ -202,7 +202,7 @@ class ParameterStore(Mapping[str, float]):
         self.close()
 
     def _as_carried(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values as wire and file carry them: of a float the shortest decimal that float32 keeps."""
+        """Return values as wire and file carry them: a float as the shortest decimal with the same float32."""
         floats = {name for name in values if name in self._index and self.row(name).kind == "float"}
         return {name: float32_decimal(value) if name in floats else value for name, value in values.items()}
 
@@ -247,7 +247,7 @@ class ParameterStore(Mapping[str, float]):
         return [*([said] if good else []), *(f"{own.kind}: left out: {fault}" for fault in faults)]
 
     def _take_over(self, found: tuple[StoredParameters, str]) -> tuple[str, ...]:
-        """Take each valid value of the file; return remarks on the others."""
+        """Use each valid value of the file; return remarks on the others."""
         kept, remark = found
         good, faults = self._set.check(self._as_carried(kept.values))
         self._set = ParameterSet(good, vehicle_rows(int(self._set["MAV_SYS_ID"])))

@@ -1,4 +1,4 @@
-"""The file of the vehicle's parameters: whole or not there, written by a thread of its own, checked when it is read."""
+"""The file of the vehicle's parameters, replaced as a whole by a thread of its own, and checked when it is read."""
 
 import json
 import math
@@ -16,9 +16,9 @@ from twodof.flightlog.atomic import atomic_write, make_folder
 VERSION = 1
 MAX_BYTES = 1 << 20
 QUIET_S = 0.25
-"""A file is written when the values have not changed for so long,"""
+"""Time without a change of the values after which the file is written [s]."""
 LATEST_S = 2.0
-"""and at the latest so long after the first change."""
+"""Longest time from a first change until the file is written [s]."""
 RETRY_S = 5.0
 
 
@@ -34,14 +34,14 @@ class TunedController:
 
 @dataclass(frozen=True)
 class StoredParameters:
-    """Content of the file: values by name, and those of tuned controllers, the latest last."""
+    """Content of the file: values by name, and the tuned controllers, the latest last."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     controllers: tuple[TunedController, ...] = ()
 
 
 class StoreFile:
-    """Reads and writes what is kept; `failure` is why the last writing failed, None if it did not."""
+    """Reader and writer of the file; `failure` is the reason why the last writing failed, None if it succeeded."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -54,7 +54,7 @@ class StoreFile:
         self._thread: threading.Thread | None = None
 
     def read(self) -> tuple[StoredParameters, str]:
-        """Read it; return its content and its fault, "" if there is none. A damaged file is kept as NAME.damaged."""
+        """Read the file; return its content and its fault, "" if there is none. A damaged file becomes NAME.damaged."""
         try:
             if self.path.stat().st_size > MAX_BYTES:
                 raise ValueError(f"is larger than {MAX_BYTES} bytes")
@@ -79,9 +79,9 @@ class StoreFile:
             self._changed.notify_all()
 
     def save(self, deadline_s: float) -> Callable[[], bool]:
-        """Write the given content now; return at once a question: is it on the disk by now?
+        """Write the waiting content now; return at once a function that returns True once it is on the disk.
 
-        The question raises ParameterError where the disk has refused since, or was silent for the deadline.
+        The function raises ParameterError if the disk has refused, or has not answered within `deadline_s` [s].
         """
         with self._changed:
             if self._wanted is not None:
@@ -96,7 +96,8 @@ class StoreFile:
                     return True
                 done = self._tries >= number
             if done and self.failure is not None:
-                raise ParameterError(self.failure.what, self.failure.where, "the values fly, but are not stored")
+                remedy = "store them on another disk: the values fly, but are not stored"
+                raise ParameterError(self.failure.what, self.failure.where, remedy)
             if not done and time.monotonic() >= end:
                 silent = f"the disk has not answered within {deadline_s:g} s"
                 raise ParameterError(silent, str(self.path), "store them on another disk")
@@ -105,7 +106,7 @@ class StoreFile:
         return stored
 
     def flush(self, deadline_s: float) -> None:
-        """Wait until the given content is written. Raises ParameterError as the question of `save`."""
+        """Wait until the waiting content is written. Raises ParameterError as the function of `save` does."""
         stored = self.save(deadline_s)
         with self._changed:
             if not self._changed.wait_for(stored, deadline_s):
@@ -155,7 +156,7 @@ class StoreFile:
         except TwodofError as refusal:
             return refusal
         except OSError as refusal:
-            return ParameterError(f"cannot be written: {refusal.strerror}", str(self.path))
+            return ParameterError(f"cannot be written: {refusal.strerror}", str(self.path), "choose another folder")
         return None
 
     def _set_aside(self, what: str) -> str:

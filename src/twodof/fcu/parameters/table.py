@@ -1,8 +1,8 @@
-"""All parameters of a vehicle: the flight code's, and those of PX4 that its clients ask for.
+"""All parameters of a vehicle: the flight code's, and those of PX4 that its clients expect.
 
-QGroundControl cannot do without some of PX4's; MAVSDK, MAVProxy and course scripts read or set others. A few act here.
-Some are fixed, because they tell what this vehicle is. The rest are kept for the client that sets them and act on
-nothing, as their text says. Source of names, types, bounds: PX4 v1.16, parameter reference.
+QGroundControl needs some of PX4's; MAVSDK, MAVProxy and course scripts read or set others. A few have an effect here.
+Some are fixed, because they describe this vehicle. The rest are stored for the client that sets them and have no
+effect, as their text says. Source of names, types, bounds: PX4 v1.16, parameter reference.
 """
 
 import struct
@@ -17,10 +17,11 @@ from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS, Parameter
 class VehicleParameter(Parameter):
     """A parameter as a vehicle describes it.
 
-    `group` is where a ground station shows it. `disarmed`: it is changed only while disarmed; `reboot`: a change acts
-    after the next start. `acts` is False for one that clients of PX4 ask for and nothing on board reads. `of` names the
-    parameter that this one is another name of. `user_path` is its place in a user's diagram, such as
-    `attitude_control.k_q`, with an index for an array's element. One without bounds in the diagram is not `bounded`.
+    `group` is the heading under which a ground station shows it. `disarmed`: it changes only while disarmed; `reboot`:
+    a change takes effect after the next start. `acts` is False if clients of PX4 expect it and nothing on board reads
+    it. `of` is the main name of a parameter of which this is another name. `user_path` is its path in a user's diagram,
+    such as `attitude_control.k_q`, with an index for an array's element. `bounded` is False if the diagram gives it no
+    bounds.
     """
 
     group: str = "Flight"
@@ -37,7 +38,7 @@ class VehicleParameter(Parameter):
 
     @property
     def fixed(self) -> bool:
-        """Return whether it has only one value, which tells a client something."""
+        """Return whether the parameter has one possible value, which describes the vehicle."""
         return self.low == self.high
 
 
@@ -46,7 +47,7 @@ Kind = Literal["float", "int32"]
 LOG_ALWAYS, LOG_BOOT, LOG_ARMED, LOG_NEVER = 2, 1, 0, -1
 """Values of SDLOG_MODE: from the start on, from the start to the first disarming, while armed, only on request."""
 SIMULATED_IMU, SIMULATED_MAG = 1310988, 197388
-"""What PX4 in simulation calls its sensors; an id of 0 is a sensor that was never calibrated."""
+"""Sensor ids of PX4 in simulation; an id of 0 is a sensor that was never calibrated."""
 _LOGGED = "on-board log: 0 while armed, 1 from the start to disarming, 2 from the start on, -1 on request"
 _UNUSED = "; kept, acts on nothing here"
 
@@ -68,7 +69,7 @@ def _logging(name: str, default: float, low: float, high: float, text: str) -> V
 
 
 def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
-    """Return the rows of a vehicle with this MAVLink system id."""
+    """Return PX4's parameters for a vehicle with this MAVLink system id."""
     return (
         _fixed("MAV_SYS_ID", system, "MAVLink system id, set where the flight controller is started"),
         _fixed("MAV_COMP_ID", 1, "MAVLink component id: autopilot"),
@@ -123,7 +124,7 @@ def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
 
 @cache
 def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
-    """Return every parameter of the vehicle `system` once, by its main name."""
+    """Return every parameter of the vehicle with the id `system` once, under its main name."""
     flight = (*PARAMETERS, *(row for row in FLIGHT_PARAMETERS if row not in PARAMETERS))
     rows = (
         VehicleParameter(
@@ -138,7 +139,7 @@ def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
 def wire_rows(system: int) -> tuple[VehicleParameter, ...]:
     """Return the rows of PARAM_REQUEST_LIST in the order of their indices, by name as in PX4.
 
-    A parameter that the real drone has under a name of its own (FC_PARAM_4) shows under both: `of` says so.
+    A parameter that has a name of its own on the real drone (FC_PARAM_4) is listed under both names (see `of`).
     """
     rows = vehicle_rows(system)
     others = (

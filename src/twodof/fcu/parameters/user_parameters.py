@@ -1,8 +1,7 @@
 """The parameters of the users' controllers that fly, as rows of the vehicle's list.
 
-A name is the one that the parameter has in the diagram's PX4 module (docs/explanation/targets.md), so that a ground
-station's file fits both. A value at the default flies as the diagram has it, to the last bit, though float32 carries
-less.
+A parameter has the same name as in the diagram's PX4 module (docs/explanation/targets.md), so that a ground station's
+file fits both. A value at its default flies with all bits of the diagram's number, although the wire carries float32.
 """
 
 import hashlib
@@ -26,14 +25,14 @@ from twodof.parameters import float32_decimal
 from twodof.signals import PERIOD
 
 LONGEST_TEXT, LONGEST_UNIT = 160, 20
-"""Of what a diagram says of its parameters, which nobody has looked at."""
+"""Longest text and unit that are taken from an unchecked diagram."""
 
 
 @dataclass(frozen=True)
 class UserParameters:
     """Tunable parameters of the controller `name` of the template `kind`; `identity` is the SHA-256 of its JSON `text`.
 
-    `rows` are the vehicle's rows, `remark` says what of the diagram is not among them, "" if all is.
+    `rows` are the parameters in the vehicle's list; `remark` says which ones of the diagram are not, "" if all are.
     """
 
     kind: str
@@ -58,9 +57,9 @@ class UserParameters:
 
 
 def user_parameters(controllers: Iterable[Diagram]) -> tuple[UserParameters, ...]:
-    """Return the tunable parameters of `controllers`, in the templates' order, which decides whose names are cut.
+    """Return the tunable parameters of `controllers`, in the order of templates: names of later ones may be shortened.
 
-    Raises DiagramError for two parameters whose names are alike.
+    Raises DiagramError for two parameters with the same name.
     """
     taken = {row.name for row in wire_rows(1)}
     found = []
