@@ -123,7 +123,7 @@ class TestGuard:
     def test_unstable_gains_need_a_confirmation(self, lab: ServedLab) -> None:
         status, told = lab.call("PATCH", "drones/1/parameters", WILD)
         assert status == 409
-        assert "does not keep this stable" in told["what"]
+        assert "unstable within the uncertainty" in told["what"]
         assert value(lab, "RATE_KP") == 0.0854
         # By the real drone's names it is the same law.
         assert lab.call("PATCH", "drones/1/parameters", {"FC_PARAM_6": 0.003, "FC_PARAM_4": 0.12})[0] == 409
@@ -139,7 +139,7 @@ class TestGuard:
         assert lab.call("PATCH", "drones/1/parameters", {"RATE_KP": 0.0854, "RATE_KD": 0.0, "ATT_KP": 11.0})[0] == 200
         status, told = lab.call("POST", "drones/1/parameters/undo")
         assert status == 409
-        assert "does not keep this stable" in told["what"]
+        assert "unstable within the uncertainty" in told["what"]
         assert value(lab, "RATE_KD") == 0.0
         status, told = lab.call("POST", f"drones/1/parameters/undo?confirm={shown['confirm']}")
         assert status == 200

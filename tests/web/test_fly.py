@@ -124,7 +124,9 @@ def test_a_watcher_may_only_stop(lab_server: LabServer, open_page: OpenPage) -> 
     lab_server.tell("arm")
     page.get_by_role("button", name=STOP).click()  # but whoever stands beside it may stop it
     lab_server.until(killed=True, armed=False)
-    expect(page.get_by_label("Log of the drone")).to_contain_text("the emergency stop was pressed by who watches at")
+    expect(page.get_by_label("Log of the drone")).to_contain_text(
+        "the emergency stop was pressed by a watching client at"
+    )
 
 
 def test_the_rig_is_reset(lab_server: LabServer, open_page: OpenPage) -> None:

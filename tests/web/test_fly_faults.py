@@ -152,7 +152,7 @@ def test_a_frozen_page_loses_command(lab_server: LabServer, open_page: OpenPage)
     for one in (page, watching):
         expect(one.get_by_text("This page stood still for")).to_be_visible()
         expect(one.get_by_label("Mode")).to_have_value("hold")
-    expect(page.get_by_label("Log of the drone")).to_contain_text("stands still for 3 s: it is levelled")
+    expect(page.get_by_label("Log of the drone")).to_contain_text("stands still for 3 s: the drone is levelled")
     assert lab_server.state["mode"] == "hold"  # and nothing that was asked before is asked again
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
     assert recorded_without_a_gap(lab_server, recording) > state["time"] - began

@@ -128,7 +128,7 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
     expect(bar).to_contain_text("Nothing edited", timeout=LONG_MS)
     # To take that back is a change that is not kept stable: it is laid into the edits, and asked for as before.
     page.get_by_role("button", name="Undo last send").click()
-    expect(bar.get_by_role("alert")).to_contain_text("does not keep this stable", timeout=LONG_MS)
+    expect(bar.get_by_role("alert")).to_contain_text("unstable within the uncertainty", timeout=LONG_MS)
     expect(bar).to_contain_text("0.0854 → 0.12")
     assert on_board(lab, "RATE_KD") == 0.0
 

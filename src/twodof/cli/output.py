@@ -161,12 +161,12 @@ IN_SHELL = MappingProxyType(
         "parameters.all() lists": "`twodof parameters` lists",
         "drone.release()": "`twodof kill --release`",
         "describe(log) lists the log's events": "`twodof log info` lists the log's events",
-        "call it .mcap; write_log makes others of it": "call it .mcap; `twodof log convert` makes others of it",
+        "write_log converts it": "`twodof log convert` converts it",
         "write it with to_json": "write it as `twodof diagram new`, `twodof calibrate --out` or Python's to_json do",
         "(leave it out of `estimate`)": "(leave it out of --estimate)",
     }
 )
-"""What a remedy says -> what the command line says in its place."""
+"""Words of a remedy for Python -> words for the command line in their place."""
 
 
 def remedy_in_shell(remedy: str) -> str:

@@ -230,7 +230,7 @@ class AsyncDrone(DroneView):
         Messages of a plain PX4 are recorded as they come; `stream` asks for more of them.
         """
         if Path(path).suffix.lower() != ".mcap":
-            raise LogError("a recording is an MCAP file", str(path), "name it .mcap; `twodof log convert` converts it")
+            raise LogError("a recording is an MCAP file", str(path), "name it .mcap; write_log converts it")
         flying = self.active_controller if self.ours else None
         return record(self, path, topics, provenance or {}, flying, overwrite)
 

@@ -296,13 +296,15 @@ class AsyncParameters:
     async def _describe(self, deadline: Deadline) -> None:
         if not self._session.ours:
             what = "this is no twodof drone and has no description of its parameters"
-            raise Rejected(what, deadline.where, "list them instead: parameters.all()")
+            raise Rejected(what, deadline.where, "parameters.all() lists them")
         content = await self._files.read(DESCRIPTION, deadline.left)
         try:
             rows = read_description(content)
         except (ValueError, LookupError, TypeError, RecursionError, ParameterError) as damage:
             raise Rejected(
-                f"the drone's description of its parameters cannot be read: {damage}", deadline.where, "list them"
+                f"the drone's description of its parameters cannot be read: {damage}",
+                deadline.where,
+                "parameters.all() lists them",
             ) from damage
         self._described = {row.name: row for row in rows}
         self._paths = {row.path: row.name for row in rows if row.path}

@@ -35,7 +35,7 @@ from twodof.lab.settings import LabSettings
 API = "/api/"
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 MOST_BODY = 1 << 20
-"""Largest body of a request, in bytes, where the route does not say otherwise."""
+"""Default of the largest body of a request [byte]."""
 MOST_DISCARDED, DISCARD_S = 64 << 20, 5.0
 """Bytes of a refused request that are read before it is answered, and the longest time [s]."""
 _BEARER = "bearer "
@@ -67,13 +67,13 @@ class Role(StrEnum):
 
 
 class LabClient(NamedTuple):
-    """Role and address of a client. The address is that of a proxy or a tunnel where one is in front."""
+    """Role and address of a client. Behind a proxy or a tunnel the address is that of the proxy."""
 
     role: Role
     address: str
 
     def __str__(self) -> str:
-        who = "who commands" if self.role is Role.COMMAND else "who watches"
+        who = "a commanding client" if self.role is Role.COMMAND else "a watching client"
         return f"{who} at {self.address}"
 
 
@@ -89,7 +89,7 @@ CurrentClient = Annotated[LabClient, Depends(current_client)]
 
 @dataclass(frozen=True)
 class _Mark:
-    """Mark in a route's `dependencies`: `watchers` may call it too, and it takes bodies of up to `most` bytes."""
+    """Mark in a route's `dependencies`: `watchers` may call the route too; its body has at most `most` bytes."""
 
     watchers: bool = False
     most: int = MOST_BODY
@@ -103,7 +103,7 @@ WATCHERS_MAY = Depends(_Mark(watchers=True))
 
 
 def takes(most: int) -> Any:
-    """Return a mark for a route's `dependencies`: it takes bodies of up to `most` bytes, a log for instance."""
+    """Return a mark for a route's `dependencies` that allows bodies of up to `most` bytes, such as a log."""
     return Depends(_Mark(most=most))
 
 
@@ -112,7 +112,7 @@ class LabRoute(APIRoute):
 
     @property
     def for_watchers(self) -> bool:
-        """True if clients that only watch may call it."""
+        """True if clients that only watch may call the route."""
         return any(mark.watchers for mark in self._marks) or (self.methods or set()) <= SAFE
 
     @property
@@ -194,7 +194,7 @@ class Gate:
 
 
 def token_of(connection: HTTPConnection) -> str:
-    """Return the token of a request, from its header; of a web socket, whose browser sends none, from `?token=`."""
+    """Return the token in a request's header; for a web socket, which has no such header, that in `?token=`."""
     header = connection.headers.get("authorization", "")
     if header[: len(_BEARER)].lower() == _BEARER:
         return str(header[len(_BEARER) :].strip())
@@ -205,7 +205,7 @@ def token_of(connection: HTTPConnection) -> str:
 
 
 def role_of(token: str, settings: LabSettings) -> Role | None:
-    """Return the role that a token gives; None for a token that gives none."""
+    """Return the role that a token gives; None for a wrong token."""
     if not token:
         return None if settings.needs_token else Role.COMMAND
     given = token[:_LONGEST_TOKEN].encode()
@@ -216,9 +216,9 @@ def role_of(token: str, settings: LabSettings) -> Role | None:
 
 
 def host_is_ours(host: str, settings: LabSettings) -> bool:
-    """Return True if `Host` names this server by a number or a name that no other site can let point here.
+    """Return True if `Host` is an address or name of this server that no other site can use for itself.
 
-    On the loopback that is a number of the loopback or `localhost`; else any number, or this computer's own name.
+    For a server on the loopback that is a loopback address or `localhost`; else any address, or this computer's name.
     """
     try:
         name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
@@ -234,7 +234,7 @@ def host_is_ours(host: str, settings: LabSettings) -> bool:
 
 
 def origin_is_ours(origin: str | None, host: str) -> bool:
-    """Return True if a request comes from our own page: its `Origin` is its `Host`. A program sends none."""
+    """Return True if a request comes from the server's own page, or from a program, which sends no `Origin`."""
     if origin is None:
         return True
     try:
@@ -251,11 +251,11 @@ def _own_names() -> frozenset[str]:
 
 
 def _too_large(most: int) -> Refused:
-    return Refused(413, f"the request is larger than the {most} bytes that are taken here", "send less")
+    return Refused(413, f"the request is larger than {most} bytes", "send less")
 
 
 async def _discard(receive: Receive) -> None:
-    """Read the rest of a request and keep nothing: a client that is still sending would not hear the refusal."""
+    """Read the rest of a request and drop it: a client that is still sending would not read the refusal."""
     got = 0
     with suppress(TimeoutError):
         async with asyncio.timeout(DISCARD_S):

@@ -132,7 +132,7 @@ def status_of(error: TwodofError) -> int:
 
 
 def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
-    """Return texts of the first mistakes in a request's data, and their places."""
+    """Return a text about the first mistakes in a request's data, and a text of their places."""
     rows = errors[:_MOST_MISTAKES]
     where = ", ".join(".".join(str(part)[:80] for part in row["loc"]) for row in rows)
     what = "; ".join(f"{row['msg']}, not {shown(row['input'])}" for row in rows)
@@ -140,7 +140,7 @@ def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
 
 
 def install(app: FastAPI) -> None:
-    """Let every error of ours, and of the framework, be answered as a Refusal."""
+    """Answer every error of twodof and of the framework with a Refusal."""
 
     @app.exception_handler(TwodofError)
     async def ours(_: Request, error: TwodofError) -> Response:

@@ -35,7 +35,7 @@ from twodof.sim.portable_loop import portable_loop
 def catalogue() -> dict[str, Any]:
     """Return the library's blocks, the starter diagrams, and the drone's templates with their ports.
 
-    `not_simulated` says why no diagram can be simulated here; "" where it can.
+    `not_simulated` says why no diagram can be simulated here, "" if diagrams can.
     """
     return {
         "not_simulated": _no_compiler(),
@@ -177,6 +177,6 @@ def rehearsal(progress: Progress, text: str, before: str | None, origin: str) ->
     try:
         flies = None if before is None else from_json(before)
     except DiagramError as damage:
-        flies, origin = None, f"the stock controller, as what flies cannot be read: {damage}"
+        flies, origin = None, f"the stock controller, as the active one cannot be read: {damage}"
     done = rehearse(diagram, flies, lambda what, share: progress(share, what))
     return done.to_json() | {"against": origin, "name": diagram.name}

@@ -43,9 +43,10 @@ Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
 
 
 class AskedExperiment(RequestBody):
-    """Ready-made experiment to fly; fields beside its name replace its own.
+    """Ready-made experiment to fly; the fields beside its name replace those of the experiment.
 
-    `excitation` is as the reference describes it, in the unit of the experiment's loop. `thrust` is 0 to 1; times [s].
+    `excitation` is a form as in the reference, in the unit of the experiment's loop. `thrust` is 0 to 1; `hold` and
+    `rest` are in s.
     """
 
     name: Annotated[str, Field(max_length=60)]
@@ -95,7 +96,7 @@ def fly_experiment(
     seed: int,
     folder: str,
 ) -> dict[str, Any]:
-    """Fly, write the log into `folder`, and judge the data; setting `stop` disarms the drone at once.
+    """Fly an experiment, write the log into `folder`, and judge the data; setting `stop` disarms the drone at once.
 
     The log of a stopped flight is kept. A virtual drone is reset afterwards with its rings as before, unless it was
     killed: a person must release it.
@@ -117,7 +118,8 @@ def fly_experiment(
             flight = fly(experiment, drone, seed=seed, progress=say, interrupted=stopped.append)
         except KeyboardInterrupt:
             if not stopped:
-                raise ExperimentError("it was stopped before it had begun", experiment.name) from None
+                what = "the flight was stopped before it began"
+                raise ExperimentError(what, experiment.name, "start it again") from None
             flight = stopped[0]
         put_back = False
         if before.virtual and not drone.state.killed:
@@ -149,9 +151,9 @@ def plan(
     values: Mapping[str, float],
     rehearse: bool,
 ) -> dict[str, Any]:
-    """Predict the accuracy and the motion of the experiment on the virtual rig nearest to the drone's.
+    """Predict accuracy and motion of an experiment on the drone's virtual rig, or on `lab` for another rig.
 
-    With `rehearse` it is also flown there with noise and gusts, and identified.
+    With `rehearse` the experiment is also flown there with noise and gusts, and identified.
     """
     name = rig if rig in NAMES else "lab"
     progress(0.05, "flying it without noise")
@@ -184,7 +186,7 @@ def identify(
     window: tuple[float, float] | None,
     disturbance: Any,
 ) -> dict[str, Any]:
-    """Return the `view` of a log's fit, and the `model` to keep."""
+    """Identify a model from a log; return the `view` of the fit for the page, and the `model` as it is kept."""
     progress(0.05, "reading the log")
     log = named_log(path)
     free = None if impulse is None else named_log(impulse)
@@ -207,7 +209,10 @@ def design(
     method: str,
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Design, promise, and write the file `place`; `file` is None if the family is not kept stable."""
+    """Design a controller for `family`, promise its step, and write its diagram to the file `place`.
+
+    A controller that does not keep the family stable is not written: `file` is None.
+    """
     path = Path(place)
     make_folder(path.parent)
     check_free(path, overwrite)

@@ -25,16 +25,16 @@ FileName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
 
 
 class NamedFiles:
-    """Files with one suffix in `folder`, each under a name that its user chose.
+    """Files with one suffix in `folder`, each under a name chosen by the user.
 
-    `kind` is their noun for errors, such as "model". At most `most` are kept, each of at most `most_bytes`.
+    `kind` is the noun for such a file in errors, "model". At most `most` are kept, each of at most `most_bytes`.
     """
 
     def __init__(self, folder: Path, suffix: str, kind: str, most: int, most_bytes: int = 1 << 20) -> None:
         self.folder, self._suffix, self._kind, self._most, self._most_bytes = folder, suffix, kind, most, most_bytes
 
     def listed(self) -> list[dict[str, Any]]:
-        """List name, bytes and time of the last change [s, unix] of each, the latest first."""
+        """List name, size [byte] and time of the last change [s, unix] of each file, the latest first."""
         rows: list[dict[str, Any]] = []
         for path in self.folder.glob(f"*{self._suffix}"):
             with suppress(OSError):  # it was deleted meanwhile
@@ -48,12 +48,12 @@ class NamedFiles:
         path = self.folder / f"{name}{self._suffix}"
         if not _NAME.fullmatch(name) or (name.endswith(self._suffix) and not path.is_file()):
             letters = f"at most {LONGEST_NAME} letters, digits, space, . _ + -"
-            remedy = f"take {letters}, begin with a letter or digit, and leave {self._suffix} out"
+            remedy = f"use {letters}, begin with a letter or digit, and leave {self._suffix} out"
             raise ParameterError(f"{shown(name)} cannot be a {self._kind}'s name", f"{self._kind}s", remedy)
         return path
 
     def there(self, name: str) -> Path:
-        """Return the place of a file that is there. Raises ParameterError for a wrong name, NotThere."""
+        """Return the place of an existing file. Raises ParameterError for a wrong name, NotThere."""
         path = self.place(name)
         if not path.is_file():
             raise NotThere(f"there is no such {self._kind}", f"{self._kind} {name}", "choose one of the list")
@@ -73,7 +73,7 @@ class NamedFiles:
             raise ParameterError(f"has more than {self._most_bytes} bytes", f"{self._kind} {name}", "keep less in it")
         make_folder(self.folder)
         if not path.exists() and len(self.listed()) >= self._most:
-            raise Rejected(f"there are {self._most} {self._kind}s already", f"{self._kind}s", "delete one")
+            raise Rejected(f"there are {self._most} {self._kind}s already", f"{self._kind}s", "delete one of them")
         if path.exists() and not overwrite:
             raise Rejected(f"there is a {self._kind} '{name}'", f"{self._kind}s", "choose another name")
         with atomic_write(path, "w") as file:
@@ -104,7 +104,7 @@ def is_log(name: str) -> bool:
 
 
 def new_name(name: str) -> str:
-    """Return `name` if a new log may have it. Raises LogError with the mistake."""
+    """Return `name` if it can be that of a new log. Raises LogError with the mistake."""
     if Path(name).suffix.lower() not in SUFFIXES:
         what = f"no log format has the suffix {Path(name).suffix[:20]!r}"
         raise LogError(what, name[:80], f"use {', '.join(SUFFIXES)}")
@@ -139,7 +139,7 @@ class LogTrash:
         """Restore a log and its notes; return its name, numbered if that is taken. Raises NotThere, LogError."""
         found = next((row for row in self.listed() if row["entry"] == entry), None)
         if found is None:
-            raise NotThere("there is no such deleted log", entry[:40], "it may have been removed for good")
+            raise NotThere("there is no such deleted log", entry[:40], "choose one of the list; old ones are removed")
         path = numbered(self._logs / found["name"])
         _move(self.folder / entry, path)
         return path.name
@@ -166,7 +166,7 @@ def _move(path: Path, target: Path) -> None:
     try:
         path.rename(target)
     except OSError as refusal:
-        remedy = "see that it is there, that its name is short, and that the disk has room"
+        remedy = "check that it is there, that its name is short, and that the disk has room"
         raise LogError(f"cannot be moved: {refusal.strerror}", path.name, remedy) from refusal
     if notes.is_file():
         notes.rename(target.with_name(target.name + NOTES))
@@ -180,9 +180,9 @@ MOST_NOTES = 20_000
 
 
 class LogShelf:
-    """Logs in the folder "flights" of the user's data, and in `others`, which are only read.
+    """Logs in the folder "flights" of the user's data, and in the folders `others`, which are only read.
 
-    A log is named by its file there; one in the k-th other folder is called "k:NAME".
+    The name of a log is that of its file; a log in the k-th other folder is called "k:NAME".
     """
 
     def __init__(self, data: Path, others: Sequence[Path] = ()) -> None:
@@ -211,7 +211,7 @@ class LogShelf:
         """Return the path of a log that may be changed. Raises NotThere, Rejected."""
         path = self.place(name)
         if path.parent != self.folder:
-            raise Rejected("logs of that folder are only read here", name[:80], "change it there")
+            raise Rejected("logs of that folder cannot be changed here", name[:80], "change it in its folder")
         return path
 
     def notes(self, name: str) -> str:
@@ -232,7 +232,7 @@ class LogShelf:
             file.unlink(missing_ok=True)
 
     def check_new(self, name: str) -> None:
-        """Check the name of a new log and the number of logs. Raises LogError, Rejected."""
+        """Raise LogError if `name` cannot be that of a new log, Rejected if there are too many logs."""
         new_name(name)
         if len(self._rows(0, self.folder)) >= MOST:
             raise Rejected(f"there are {MOST} logs already", "logs", "delete some")

@@ -22,8 +22,8 @@ from twodof.lab.telemetry_rows import Audience
 class Lab:
     """Drones, jobs and clients of one server; `async with` connects to the drones and leaves them.
 
-    `stops` end the flights of jobs, `rehearsed` are the diagrams of rehearsals, both by the job's id. `summaries` are
-    those of logs, by path, time of the last change [ns] and bytes.
+    `stops` are the events that end flights, `rehearsed` the diagrams of rehearsals, both by the job's id. `summaries`
+    are those of logs, by path, time of the last change [ns] and size [byte].
     """
 
     def __init__(self, settings: LabSettings) -> None:
@@ -46,7 +46,7 @@ class Lab:
         """Return the place of a readable log. Raises NotThere, and Rejected while it is being recorded."""
         path = self.logs.place(name)
         if name in self.drones.recordings:
-            raise Rejected("it is being recorded", name[:80], "disarm the drone first")
+            raise Rejected("the log is being recorded", name[:80], "disarm the drone first")
         return path
 
     async def __aenter__(self) -> Self:

@@ -24,13 +24,13 @@ from twodof.report.step_responses import step_responses
 from twodof.signals import BY_MAT
 
 MOST_BYTES = 96 << 20
-"""Most bytes of the files whose logs are kept; in memory a log has 5 to 12 times its file."""
+"""Most bytes of the files whose logs are kept in memory, where a log takes 5 to 12 times the size of its file."""
 
 _KEPT: OrderedDict[tuple[str, int, int], FlightLog] = OrderedDict()
 
 
 def named_log(path: str) -> FlightLog:
-    """Read the log in a file. Raises LogError with the file's name but not the server's folder."""
+    """Read the log in a file. Raises LogError, which names the file but not the server's folder."""
     name = Path(path).name
     try:
         return read_log(path)
@@ -40,7 +40,7 @@ def named_log(path: str) -> FlightLog:
 
 
 def kept_log(path: str) -> FlightLog:
-    """Return the log in a file, read again if the file has changed. Raises LogError."""
+    """Return the log in a file, kept in memory until the file changes. Raises LogError."""
     try:
         found = Path(path).stat()
     except OSError as reason:  # deleted since it was asked for
@@ -106,7 +106,7 @@ def _likely(log: FlightLog) -> str | None:
 
 
 def _spark(log: FlightLog) -> dict[str, Any] | None:
-    """Return the lowest and highest value of each of `COLUMNS` parts; None for a part without a sample."""
+    """Return a small curve: the lowest and highest value of each of `COLUMNS` parts, None for an empty part."""
     known = [name for name in (*_SPARKS, *log) if name in log and len(log[name]) > 1 and log[name].value.ndim == 1]
     if not known:
         return None
@@ -203,7 +203,7 @@ def replay(path: str) -> dict[str, Any]:
 
 
 def converted(path: str, target: str) -> dict[str, Any]:
-    """Write the log into a new file, whose suffix says the format. Raises LogError."""
+    """Write the log into a new file, whose suffix gives the format. Raises LogError."""
     log = kept_log(path)
     if Path(target).suffix == ".ulg":
         return {"left_out": list(write_ulg(log, target))}
@@ -250,7 +250,7 @@ def _curve(curve: Curve, points: int) -> dict[str, Any]:
 
 
 def _rows(log: FlightLog, name: str, kind: TypeAdapter[Any]) -> list[list[Any]]:
-    """Return the rows of the provenance that are of this kind."""
+    """Return those rows of the provenance's entry `name` that have the type `kind`."""
     rows, found = log.provenance.get(name), []
     for row in rows[:MOST_SAID] if isinstance(rows, list) else ():
         with suppress(ValidationError):

@@ -1,4 +1,4 @@
-"""Folder of identified models, and the guard that tries a change of gains on a model first."""
+"""Folder of identified models, and the guard that first tries a change of gains on a model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from twodof.report.step_responses import FlownStep, step_responses
 
 MAX_BYTES = 1 << 20
 _CHOICES = ".chosen"
-"""File beside the models, under a name that a model cannot have."""
+"""File of the chosen models beside the models; no model can have this name."""
 
 
 class _Estimated(BaseModel):
@@ -66,7 +66,7 @@ _CHOSEN = TypeAdapter(dict[str, str])
 
 
 class ModelFolder(NamedFiles):
-    """Folder of models, each read when it is asked for, and the choice of the models that guard tuning."""
+    """Folder of models, each read when it is needed, and the choice of the models that guard tuning."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, ".json", "model", 500, MAX_BYTES)
@@ -95,7 +95,7 @@ class ModelFolder(NamedFiles):
         return self.row(name)
 
     def values(self, name: str) -> dict[str, float]:
-        """Return a model's values by unknown, held ones among them. Raises NotThere, ParameterError."""
+        """Return a model's values by unknown, estimated and held ones. Raises NotThere, ParameterError."""
         found = self._parsed(name, _IDENTIFIED)
         values = {**{key: row.value for key, row in found.estimates.items()}, **found.fixed}
         return {key: value for key, value in values.items() if value is not None}
@@ -121,7 +121,7 @@ class ModelFolder(NamedFiles):
         try:
             return form.validate_json(self.content(name))
         except ValidationError as reason:
-            what = f"it is not a model: {mistakes_in_words(reason.errors())[0]}"
+            what = f"this is not a model: {mistakes_in_words(reason.errors())[0]}"
             raise ParameterError(what, f"model {name}", "identify it again") from reason
 
     def chosen(self, drone: int) -> str | None:
@@ -130,7 +130,7 @@ class ModelFolder(NamedFiles):
         return name if name in (row["name"] for row in self.listed()) else None
 
     def choose(self, drone: int, name: str | None) -> None:
-        """Let a model guard a drone's tuning, or none. Raises as `family`."""
+        """Choose the model that guards a drone's tuning, None for no model. Raises as `family`."""
         if name is not None:
             self.family(name)
         choices = {**self._choices(), str(drone): name}
@@ -147,7 +147,7 @@ class ModelFolder(NamedFiles):
 
 SHOWN_S = 3.0
 LEAST = 0.035
-"""A smaller step [rad] is mostly noise once it is scaled."""
+"""Smallest step [rad] that is shown: a smaller one is mostly noise after scaling."""
 MOST_STEPS = 12
 
 
@@ -192,10 +192,10 @@ def judge(
     family: dict[str, Any],
     goal: float | None,
 ) -> dict[str, Any]:
-    """Judge the law with `changes` on the `family`; with a `goal` [rad] add the preview of the page.
+    """Judge the pitch law with `changes` on the `family`; with a `goal` [rad] add the preview of the page.
 
-    `touches` is True if the changes affect the law; without that and without a goal the verdict is missing. `unstable`
-    is True if a sampled drone, or one that the search found, is unstable.
+    `touches` is True if the changes affect the law; if it is False and there is no goal, there is no verdict.
+    `unstable` is True if a sampled drone, or one that the search found, is unstable.
     """
     before, after = PitchLaw.flown(values, diagram, paths), PitchLaw.flown({**values, **changes}, diagram, paths)
     own = PitchFamily.from_json(family)
@@ -223,9 +223,10 @@ SECONDS = 60.0
 
 
 class TuningGuard:
-    """Guard that refuses a law which the chosen model's uncertainty does not keep stable, unless it is confirmed.
+    """Guard that refuses gains that are unstable within the uncertainty of the chosen model, unless confirmed.
 
-    Only a preview tells the token that confirms; it is valid for this law, this model and this run of the server.
+    Only a preview has the token for the confirmation, which is valid for these gains, this model and this run of the
+    server.
     """
 
     def __init__(self, models: ModelFolder, bench: Workbench) -> None:
@@ -264,17 +265,17 @@ class TuningGuard:
         try:
             told = await self.judge(one, changes, model, None)
         except DiagramError as reason:
-            what = f"the model '{model}', which guards it, cannot judge this: {reason.what}"
+            what = f"the model '{model}', which guards the drone, cannot judge this: {reason.what}"
             raise Rejected(what, where, "let no model guard the drone, and fly it with care") from reason
         if told["unstable"] and not hmac.compare_digest(confirm.encode(), self.token(model, told).encode()):
             raise Rejected(
-                f"the uncertainty of the model '{model}' does not keep this stable. {told['text']}",
+                f"unstable within the uncertainty of the model '{model}'. {told['text']}",
                 where,
-                "take other gains, or confirm it with the token of its preview",
+                "choose other gains, or confirm these with the token of their preview",
             )
 
     async def _named(self, one: LabDrone, changes: Mapping[str, float]) -> tuple[dict[str, float], ActiveController]:
-        """Return the changes by the names on board, and the active controller."""
+        """Return the changes by the parameters' names on board, and the active controller."""
         active = await one.connection.parameters.active()
         names = {path: name for name, path in active.paths.items()}
         on_board = one.drone.parameters.name_on_board
@@ -287,5 +288,5 @@ class TuningGuard:
 
 
 def _own_names(values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values by the package's names; a gain of the real drone has two names."""
+    """Return the values by twodof's names; a gain of the real drone has another name too."""
     return {BY_NAME[name].name if name in BY_NAME else name: value for name, value in values.items()}

@@ -30,18 +30,18 @@ from twodof.lab.answers import NotThere, dumps
 WARM = ("twodof.lab.diagram_work", "twodof.lab.flights", "twodof.lab.log_work", "scipy.linalg", "scipy.optimize")
 """Modules that the fork server imports before the first process begins: it then starts in milliseconds."""
 MEMORY = 8 << 30
-"""Address space of a workbench's process [bytes]: that of the largest diagram, and of what is imported."""
+"""Address space of a workbench's process [byte]: enough for the largest diagram and the imported modules."""
 NICENESS = 10
 AT_ONCE = 2
 MOST_WAITING = 16
-"""Questions to a workbench, and jobs, that may wait for their turn."""
+"""Most requests to a workbench, and most jobs, that wait for their turn."""
 MOST_OF_ONE, MOST_OF_WATCHERS = 6, 12
-"""Jobs of one client that only watches, and of all such clients, so that clients that command find a place."""
+"""Most jobs of one client that only watches, and of all such clients, so that commanding clients find a place."""
 MOST_KEPT = 50
 LONGEST_S = 1800.0
 LOOK_S = 0.05
 END_S = 1.0
-"""How long a process may take to end its compiler and itself."""
+"""Time that a process has to end its compiler and itself [s]."""
 TOLD_EVERY_S = 0.05
 Progress = Callable[[float, str], None]
 Told = Callable[[float, str, bool], None]
@@ -98,7 +98,8 @@ def _end(number: int, frame: FrameType | None) -> None:
 class _WorkProcess:
     """Process for `run`, started with the first work, and again with the next work after `close`.
 
-    Failures are raised as `failure`, about `where`. A `background` process is killed at its end; `nice` ones give way.
+    Failures are raised as `failure`, about `where`. A `background` process is killed at its end; `nice` gives it a low
+    priority.
     """
 
     def __init__(self, where: str, failure: type[TwodofError], background: bool, nice: bool = False) -> None:
@@ -116,10 +117,10 @@ class _WorkProcess:
         progress: Progress | None = None,
         gone: Callable[[], Awaitable[bool]] | None = None,
     ) -> Any:
-        """Return the result of some work. The process is ended unless it has answered.
+        """Return the result of `work(*arguments)`. End the process unless it has answered.
 
-        Raises `failure` as the work does, or where the process ends; Timeout after `seconds`; Rejected where `gone`
-        says that nobody waits for it.
+        Raises `failure` for an error of the work or if the process ends, Timeout after `seconds`, Rejected once `gone`
+        returns True because the client has left.
         """
         answered = False
         try:
@@ -128,7 +129,7 @@ class _WorkProcess:
                 while True:
                     while not await asyncio.to_thread(talk.poll, LOOK_S):
                         if gone is not None and await gone():
-                            raise Rejected("the client has left", "", "ask again")
+                            raise Rejected("the client has left", "", "send the request again")
                     kind, *rest = talk.recv()
                     if kind != "progress":
                         break
@@ -136,9 +137,9 @@ class _WorkProcess:
                         progress(*rest)
             answered = True
         except TimeoutError:
-            raise Timeout(f"it took longer than {seconds:g} s", self._where, "ask for less") from None
+            raise Timeout(f"the work took longer than {seconds:g} s", self._where, "ask for less") from None
         except (EOFError, OSError):
-            what = "its process ended in mid-work: it may have run out of memory"
+            what = "the process ended in mid-work: it may have run out of memory"
             raise self._failure(what, self._where, "ask for less") from None
         finally:
             if not answered:
@@ -177,10 +178,10 @@ class _WorkProcess:
 
 
 class Workbench:
-    """Warm process that answers questions about diagrams or logs one at a time, each within its time.
+    """Warm process that carries out requests about diagrams or logs one at a time, each within its time.
 
-    `subject` is what the questions are about, and `failure` the error for a wrong one. A question that takes too long,
-    or whose client has left, ends the process; the next question gets a new one.
+    `subject` names their subject in errors, `failure` is the class of the errors. A request that takes too long, or
+    whose client has left, ends the process; the next request starts a new one.
     """
 
     def __init__(self, subject: str = "diagram", failure: type[TwodofError] = DiagramError) -> None:
@@ -196,13 +197,13 @@ class Workbench:
         seconds: float,
         gone: Callable[[], Awaitable[bool]] | None = None,
     ) -> Answer:
-        """Return the result of `work(*arguments)`, in its turn, as JSON has it.
+        """Return the result of `work(*arguments)`, in its turn, as JSON values.
 
-        `gone` says that the client has left: then it is cancelled. Raises the errors of `work` as `failure`, Timeout
-        after `seconds`, Rejected where too many wait, and for a client that has left.
+        The work is cancelled once `gone` returns True because the client has left. Raises the errors of `work` as
+        `failure`, Timeout after `seconds`, Rejected if too many requests wait or the client has left.
         """
         if self._waiting >= MOST_WAITING:
-            raise Rejected("too many wait for the workbench", self._subject, "try again in a moment")
+            raise Rejected("too many requests wait", self._subject, "try again in a moment")
         self._waiting += 1
         try:
             async with self._turn:
@@ -220,7 +221,7 @@ class Workbench:
 class Job:
     """Progress of a job: `fraction` 0 to 1, `text`, and at its end its `result` or `error`.
 
-    `bound` is True while the job cannot be ended. `client` is the one that asked for it, if it may only watch.
+    `bound` is True while the job cannot be cancelled. `client` is the client that started it, if it may only watch.
     """
 
     id: str
@@ -239,8 +240,8 @@ class Job:
         """True after the job's end."""
         return self.state != "running"
 
-    def told(self, with_result: bool = True) -> dict[str, Any]:
-        """Return the job as clients get it."""
+    def to_json(self, with_result: bool = True) -> dict[str, Any]:
+        """Return the job as clients get it, as plain data."""
         names = ("id", "kind", "state", "fraction", "text", "error", "bound", *["result"] * with_result)
         return {name: getattr(self, name) for name in names}
 
@@ -248,7 +249,7 @@ class Job:
 class Jobs:
     """Jobs of one server: `AT_ONCE` run, the others wait for their turn, the last `MOST_KEPT` are remembered.
 
-    `tell` gets the event `job` at every change.
+    `tell` is called with the event `job` at every change.
     """
 
     def __init__(self, tell: Callable[[Mapping[str, Any]], None]) -> None:
@@ -276,11 +277,11 @@ class Jobs:
         client: LabClient | None = None,
         in_real_time: bool = False,
     ) -> Job:
-        """Run `work(progress, *arguments)` in a process of its own; returns at once.
+        """Run `work(progress, *arguments)` in a process of its own; return its job at once.
 
-        `work` is a function of a module, its arguments can be pickled, what it returns is plain data for JSON; it
-        calls `progress(fraction, text)` as it goes on. Work `in_real_time` keeps up with a drone: it begins at once, at
-        full priority. Raises Rejected where too many wait already, or where a `client` that only watches has its share.
+        `work` is a function of a module, its arguments can be pickled, and it returns plain data for JSON. It calls
+        `progress(fraction, text)` as it goes on. Work `in_real_time` has to keep up with a drone: it begins at once, at
+        full priority. Raises Rejected if too many jobs wait, or if a `client` that only watches has too many.
         """
         watcher = client if client is not None and client.role is Role.WATCH else None
         if not in_real_time:
@@ -300,10 +301,10 @@ class Jobs:
         return self._begin(Job(secrets.token_hex(8), kind, client=watcher), run)
 
     def watch(self, kind: str, work: Callable[[Told], Awaitable[Any]]) -> Job:
-        """Follow what the server does itself, such as talking to a drone: `work(told)`; returns at once.
+        """Run `work(told)`, work of the server itself such as talking to a drone; return its job at once.
 
-        It calls `told(fraction, text, bound)` as it goes on, and returns plain data. From when on it is `bound`,
-        `cancel` refuses.
+        The work calls `told(fraction, text, bound)` as it goes on, and returns plain data. While it is `bound`,
+        `cancel` is refused.
         """
 
         async def run(job: Job) -> None:
@@ -320,20 +321,20 @@ class Jobs:
         return job
 
     def when_over(self, job: Job, done: Callable[[Job], None]) -> None:
-        """Have `done` called with a job once it is over."""
+        """Call `done` with a job once the job is over."""
         if job.task is not None:
             job.task.add_done_callback(lambda _: done(job))
 
     async def cancel(self, name: str) -> Job:
-        """End a job, its process with it; one that is over stays as it is. Raises NotThere, Rejected if it is bound."""
+        """End a job and its process, unless it is over already. Raises NotThere, Rejected while the job is bound."""
         job = self[name]
         if job.bound and not job.over:
-            raise Rejected(f"it cannot be ended now: {job.text}", f"job {job.kind}", "wait for its end")
+            raise Rejected(f"the job cannot be ended now: {job.text}", f"job {job.kind}", "wait for its end")
         await self._end(job)
         return job
 
     async def close(self) -> None:
-        """End all, bound or not."""
+        """End all jobs, bound or not."""
         for job in self.all:
             await self._end(job)
 
@@ -354,7 +355,7 @@ class Jobs:
         if running.count(watcher) >= MOST_OF_ONE:
             raise Rejected(f"{MOST_OF_ONE} jobs of yours run or wait already", "jobs", "wait for one")
         if len(running) - running.count(None) >= MOST_OF_WATCHERS:
-            raise Rejected("too many jobs of those who watch wait already", "jobs", "wait for one")
+            raise Rejected("too many jobs of watching clients run or wait already", "jobs", "wait for one")
 
     async def _run(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> None:
         try:
@@ -374,4 +375,4 @@ class Jobs:
 
     def _tell(self, job: Job, fraction: float, text: str, bound: bool = False) -> None:
         job.fraction, job.text, job.bound = fraction, text, bound
-        self._tell_all({"event": "job", "job": job.told(with_result=False)})
+        self._tell_all({"event": "job", "job": job.to_json(with_result=False)})

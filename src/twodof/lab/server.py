@@ -41,10 +41,10 @@ _FOR_EVER = "public, max-age=31536000, immutable"
 
 
 class PageFiles(StaticFiles):
-    """Built files of the page; the browser keeps those whose names hold a hash of their content."""
+    """Built files of the page; browsers may keep those whose names contain a hash of their content."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """Return the answer for a path; the browser asks for the page itself each time."""
+        """Return the answer for a path; browsers must ask for the page itself each time."""
         if scope["method"] not in READS:
             raise HTTPException(405, headers={"Allow": ", ".join(READS)})
         answer = await super().get_response(path, scope)
@@ -53,9 +53,9 @@ class PageFiles(StaticFiles):
 
 
 def serve_page(app: FastAPI, folder: Path) -> None:
-    """Serve the page in `folder` at every path that is not the API's; it may be built later.
+    """Serve the page in `folder`, which may be built later, at every path that is not of the API.
 
-    A path of the API comes here with a method that no route takes: the answer names the methods that it does take.
+    A request to a path of the API with a wrong method ends up here too: the answer names the right methods.
     """
     files = PageFiles(directory=folder, html=True, check_dir=False)
 
@@ -132,7 +132,7 @@ END_S = 5
 
 
 async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
-    """Serve until cancelled; `ready` is called with the port once it listens. Raises LinkError where it cannot."""
+    """Serve until cancelled; call `ready` with the port once the server listens. Raises LinkError if it cannot."""
     # For the processes of jobs: matrices are small, and two fits at once would have four threads wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with closing(_listening(settings)) as listening:
@@ -167,7 +167,7 @@ async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Uvicorn's server, whose signals are its caller's."""
+    """Uvicorn's server that leaves signals to its caller."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:

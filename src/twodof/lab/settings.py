@@ -12,21 +12,22 @@ from typing import NamedTuple
 from twodof.errors import LinkError
 
 PAGE = Path(__file__).parent / "page"
-"""Where the build of `web/` puts the page."""
+"""Folder into which the build of `web/` writes the page."""
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 COMMAND_TOKEN, WATCH_TOKEN = "TWODOF_LAB_COMMAND_TOKEN", "TWODOF_LAB_WATCH_TOKEN"
-"""Variables of the environment with lasting tokens; without them tokens are drawn."""
+"""Environment variables with lasting tokens; without them tokens are drawn at each start."""
 
 
 @dataclass(frozen=True)
 class LabSettings:
     """Settings of one server.
 
-    `folder` is the user's data folder. `connect` are the URLs of drones; without URLs, those on this computer. `key`
+    `folder` is the user's data folder. `connect` are the URLs of drones, by default of those on this computer; `key`
     signs messages to them. A client with `command_token` may do everything, one with `watch_token` may only look. On
-    the loopback a client without a token may do everything, unless `token_always`; elsewhere it is refused. Port 0 is
-    a free one. Logs in the folders `logs` are shown and only read. Raises LinkError for a network without a token.
+    the loopback a client without a token may do everything, unless `token_always`; elsewhere it is refused. Port 0
+    stands for a free port. Logs in the folders `logs` are shown but never changed. Raises LinkError if other computers
+    can reach the server and there is no `command_token`.
     """
 
     folder: Path
@@ -42,7 +43,7 @@ class LabSettings:
 
     def __post_init__(self) -> None:
         if self.needs_token and not self.command_token:
-            what = "reaches further than this user: a server there needs a token"
+            what = "others can reach this server: it needs a token"
             raise LinkError(what, self.host, "start it by `twodof lab --host` or `twodof up --host`, which make one")
 
     @property
@@ -77,16 +78,16 @@ class Tokens(NamedTuple):
 
 
 def drawn_tokens(host: str, command: str = "", watch: str = "", always: bool = False) -> Tokens:
-    """Return a server's tokens: one to watch, and if needed or `always`, one to command.
+    """Return a server's tokens: one to watch and, if `host` needs it or `always`, one to command.
 
-    Tokens that are not given are drawn; they are stored nowhere.
+    Tokens that are not given are drawn at random and stored nowhere.
     """
     needed = secrets.token_urlsafe(24) if always or not is_loopback(host) else ""
     return Tokens(command or needed, watch or secrets.token_urlsafe(24))
 
 
 def links(settings: LabSettings, port: int) -> dict[str, str]:
-    """Return the links of a server at `port`, to command and to watch; they hold the tokens."""
+    """Return the links of a server at `port`, to command and to watch, with their tokens."""
     host = socket.gethostname() if settings.host in _ANYWHERE else settings.host
     base = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
     command = f"?token={settings.command_token}" if settings.command_token else ""

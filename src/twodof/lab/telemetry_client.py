@@ -34,7 +34,7 @@ class MalformedRequest(SocketRefused):
 
 
 class Subscribe(RequestBody):
-    """Request for rows of a drone's columns, at most `rate` a second; binary messages have the `id`."""
+    """Request for rows of a drone's columns, at most `rate` a second; the binary messages with rows have the `id`."""
 
     do: Literal["subscribe"]
     id: int = Field(ge=0, lt=2**16)
@@ -46,12 +46,12 @@ class Subscribe(RequestBody):
         """Return the columns. Raises LogError for an unknown one."""
         unknown = [name for name in self.columns if name not in COLUMNS]
         if unknown:
-            raise LogError("no such column", listed(unknown, 3), f"there are {nearest(unknown[0], COLUMNS)}")
+            raise LogError("no such column", listed(unknown, 3), f"choose of {nearest(unknown[0], COLUMNS)}")
         return tuple(self.columns)
 
 
 class Unsubscribe(RequestBody):
-    """Request to end the rows of an `id`."""
+    """Request to end the subscription `id`."""
 
     do: Literal["unsubscribe"]
     id: int = Field(ge=0, lt=2**16)
@@ -68,7 +68,7 @@ _ADAPTER: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator=
 
 
 def read_request(text: str) -> Asked:
-    """Return the request of a message. Raises MalformedRequest."""
+    """Return the request in a client's message. Raises MalformedRequest."""
     if len(text) > LONGEST:
         raise MalformedRequest(f"longer than {LONGEST} characters")
     try:
@@ -83,7 +83,7 @@ MOST_CLIENTS = 100
 MOST_STREAMS = 32
 ALIVE_S = 2.0
 SEND_S = 30.0
-"""Longest time [s] to send one message; then the client is disconnected."""
+"""Longest time to send one message [s]; after that the client is disconnected."""
 
 
 class TelemetryClient:
@@ -115,7 +115,7 @@ class TelemetryClient:
             self._say({"event": "drone", "drone": state["system"], "state": state})
         for job in self._lab.jobs.all:
             if not job.over:
-                self._say({"event": "job", "job": job.told(with_result=False)})
+                self._say({"event": "job", "job": job.to_json(with_result=False)})
         await until_one_ends((self._send(), self._receive(), self._beat()))
 
     async def _beat(self) -> None:
@@ -161,7 +161,7 @@ class TelemetryClient:
         if not isinstance(asked, Subscribe):
             return
         if len(self._streams) >= MOST_STREAMS:
-            raise TwodofError(f"{MOST_STREAMS} subscriptions are there already", "telemetry", "end one first")
+            raise TwodofError(f"there are {MOST_STREAMS} subscriptions already", "telemetry", "end one first")
         key = FeedKey(asked.known_columns(), asked.rate)
         feeds = self._lab.drones[asked.drone].feeds
         stream = StreamState(asked.id)

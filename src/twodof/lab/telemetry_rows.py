@@ -30,13 +30,13 @@ COLUMNS = (*ONBOARD, *TRUTH)
 PLACES = MappingProxyType({column: place for place, column in enumerate(COLUMNS)})
 _TRUTH_PLACES = np.arange(len(ONBOARD), len(COLUMNS), dtype=np.intp)
 BACK_TICKS = 250
-"""A tick older by this much shows a restart; a tick that is less old came too late."""
+"""A tick older by this much shows a restart of the drone; a less old tick came too late."""
 PATIENCE_TICKS = 12
 """Ticks for which a row waits for other messages, such as the truth."""
 
 
 class TickRows:
-    """Rows that wait for all their messages, by tick; `take` returns the whole ones."""
+    """Rows, by tick, that wait until all their messages have come; `take` returns the complete ones."""
 
     def __init__(self) -> None:
         self._waiting: dict[int, NDArray[np.float32]] = {}
@@ -44,7 +44,7 @@ class TickRows:
         self._newest = [-1, -1]  # tick on board, of the truth
 
     def onboard(self, ticks: NDArray[np.uint32], values: NDArray[np.float32], places: NDArray[np.intp]) -> None:
-        """Add rows of a batch, whose columns are at `places` of COLUMNS."""
+        """Add the rows of a batch, whose columns have the indices `places` in COLUMNS."""
         for tick, row in zip(ticks.tolist(), values, strict=True):
             self._put(tick, places, row, 0)
 
@@ -65,7 +65,7 @@ class TickRows:
         row[places] = values
 
     def take(self) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
-        """Return ticks (n,), rising, and values (n, COLUMNS) of the whole rows, or None."""
+        """Return rising ticks (n,) and values (n, COLUMNS) of the complete rows, or None."""
         newest = max(self._newest)
         heard = [tick for tick in self._newest if tick > max(-1, newest - PATIENCE_TICKS)]
         whole = sorted(tick for tick in self._waiting if tick <= min(heard, default=-1))
@@ -81,7 +81,7 @@ FULL_RATE = round(1.0 / PERIOD)
 
 
 class Decimation:
-    """Decimation to at most `rate` rows a second: two per bucket, in the order of its extremes.
+    """Decimation to at most `rate` rows a second: two per bucket of ticks, with each column's lowest and highest value.
 
     A column without a sample in a bucket is NaN. A peak of one tick is kept at any rate.
     """
@@ -93,7 +93,7 @@ class Decimation:
     def take(
         self, ticks: NDArray[np.int64], values: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Add rows, ticks rising; return the whole buckets: times (n,) [s] and values (n, columns).
+        """Add rows with rising ticks; return the rows of complete buckets: times (n,) [s] and values (n, columns).
 
         The times are those of the drone's logs.
         """
@@ -123,7 +123,7 @@ _HEADER = struct.Struct("<BBHIIId")
 
 
 def header(number: int, count: int, dropped: int) -> bytes:
-    """Return the header of rows: kind, 0, subscription, rows, rows dropped so far, 0, unix time [s].
+    """Return the header of a message with rows: kind, 0, subscription, rows, rows dropped so far, 0, unix time [s].
 
     It has 24 bytes, so that the times after it are aligned.
     """
@@ -143,7 +143,7 @@ MOST_EVENTS = 500
 
 @dataclass(eq=False)
 class StreamState:
-    """Subscription of one client: its number, and its dropped rows."""
+    """Subscription of one client: its number, and the number of its dropped rows."""
 
     number: int
     dropped: int = 0
@@ -152,7 +152,7 @@ class StreamState:
 
 @dataclass
 class Rows:
-    """Waiting rows of one subscription: `body` as it is sent, `count` of them."""
+    """Waiting rows of one subscription: their bytes, `body`, and their number, `count`."""
 
     stream: StreamState
     body: bytes
@@ -160,7 +160,7 @@ class Rows:
 
 
 MOST_UNANSWERED = 2
-"""A client with more unanswered `alive` is frozen, though its browser keeps the socket open."""
+"""A client with more unanswered `alive` counts as frozen, although its browser keeps the socket open."""
 
 
 @dataclass(eq=False)
@@ -185,7 +185,7 @@ class Outbox:
 
     @property
     def frozen(self) -> bool:
-        """True for a client that has answered once, and not the last times."""
+        """True for a client that has answered `alive` before, but not the last times."""
         return self.unanswered > MOST_UNANSWERED
 
     def put(self, rows: Rows) -> None:
@@ -221,14 +221,14 @@ class Outbox:
 
 
 class FeedKey(NamedTuple):
-    """Key of a feed: columns, rows a second."""
+    """Key of a feed: its columns and its rate [rows/s]."""
 
     columns: tuple[str, ...]
     rate: float
 
     @property
     def truth(self) -> bool:
-        """True for a feed with the truth of a virtual rig."""
+        """True for a feed with the true state of a virtual rig."""
         return any(column in TRUTH for column in self.columns)
 
 
@@ -252,11 +252,11 @@ class Feeds:
 
     @property
     def truth_wanted(self) -> bool:
-        """True if a feed has the truth."""
+        """True if a feed has the true state of a virtual rig."""
         return any(key.truth for key in self._feeds)
 
     def add(self, key: FeedKey, stream: StreamState, outbox: Outbox) -> None:
-        """Add a subscription; a rate above the full rate is the full rate."""
+        """Add a subscription to the feed `key`; a rate above the full rate counts as the full rate."""
         key = key._replace(rate=min(key.rate, float(FULL_RATE)))
         if key not in self._feeds:
             self._feeds[key] = _Feed(key)

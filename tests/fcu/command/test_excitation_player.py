@@ -293,7 +293,7 @@ def test_no_other_is_taken_while_one_plays() -> None:
     cockpit.commander.excitation.start(ME, 7, M, 0.4)
     cockpit.run()
     verdict = cockpit.commander.excitation.define(ME, 8, written_out(PULSE))
-    assert "another plays" in verdict.text
+    assert "another one plays" in verdict.text
     assert cockpit.run().M_open == 0.1
 
 
@@ -386,7 +386,7 @@ def test_whatever_fails_in_writing_one_out_is_a_refusal(
         raise fault("here")
 
     monkeypatch.setattr(excitation_player, "from_dict", fails)
-    with pytest.raises(ExperimentError, match=r"excitation: cannot be written out: .*here.* \(write it with to_json"):
+    with pytest.raises(ExperimentError, match=r"excitation: cannot be sampled: .*here.* \(write it with to_json"):
         prepare(b"{}")
 
 

@@ -98,15 +98,21 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     f"lease refused: {WHO} it": (lambda: armed().commander.lease.ask(OTHER), REJECTED),
     f"lease not given up: {WHO} it": (lambda: armed().commander.lease.give_up(OTHER), REJECTED),
     "lease not given up: nobody holds it": (lambda: on_the_ground().commander.lease.give_up(ME), REJECTED),
-    "command refused: the sender's MAVLink system is 0": (lambda: on_the_ground().commander.lease.take((0, 190)), MavResult.DENIED),
-    "lease refused: the sender's MAVLink system is 0": (lambda: on_the_ground().commander.lease.ask((0, 0)), MavResult.DENIED),
+    "command refused: the sender's MAVLink system is 0": (
+        lambda: on_the_ground().commander.lease.take((0, 190)),
+        MavResult.DENIED,
+    ),
+    "lease refused: the sender's MAVLink system is 0": (
+        lambda: on_the_ground().commander.lease.ask((0, 0)),
+        MavResult.DENIED,
+    ),
     # Arming.
     "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arming.arm(ME), REJECTED),
     "not armed: imu_lost, tilted": (
         lambda: on_the_ground(BIT["tilted"] | BIT["imu_lost"]).commander.arming.arm(ME),
         REJECTED,
     ),
-    "not armed: no sensor was heard yet": (lambda: Cockpit().commander.arming.arm(ME), REJECTED),
+    "not armed: no sensor has sent a sample yet": (lambda: Cockpit().commander.arming.arm(ME), REJECTED),
     "not armed: a controller is being built": (unfit, REJECTED),
     "not armed: killed by system 245, component 190: release it first (twodof kill --release)": (killed, REJECTED),
     "not armed: safety switch, press it": (switched, REJECTED),

@@ -139,7 +139,7 @@ def test_the_page_flies_the_drone_as_it_is_told(drone: tuple[Served, OnBoard]) -
         assert asked[excited.json["start_tick"] + 5] == pytest.approx(0.07, abs=1e-3)
         assert server.ask("POST", "/api/drones/1/mode", {"mode": "hold"}).json["setpoint"] is None
         given_up = server.ask("DELETE", "/api/drones/1/lease")
-        assert (given_up.status, given_up.json["what"]) == (409, "it is armed")
+        assert (given_up.status, given_up.json["what"]) == (409, "the drone is armed")
         assert not server.ask("POST", "/api/drones/1/disarm").json["armed"]
         assert not server.ask("DELETE", "/api/drones/1/lease").json["ours_leases"]
 
@@ -171,7 +171,7 @@ def test_the_page_tunes_and_stops_a_scripts_drone(drone: tuple[Served, OnBoard])
         assert (killed.json["armed"], killed.json["killed"]) == (False, True)
         client.event("drone", killed=True)
         said = [(line["severity"], line["text"]) for line in server.ask("GET", "/api/drones/1/texts").json]
-        assert ("critical", "the emergency stop was pressed by who watches at 127.0.0.1") in said
+        assert ("critical", "the emergency stop was pressed by a watching client at 127.0.0.1") in said
         for _ in patiently():
             if script.state.killed:
                 break
@@ -225,7 +225,7 @@ def test_a_flight_is_recorded_from_arming_to_rest_whoever_flies_it(drone: tuple[
             script.run(0.6)
             for path in (written, f"{written}/summary"):
                 told = server.ask("GET", f"/api/logs/{path}")
-                assert (told.status, told.json["unreadable"].split(":")[0]) == (200, "it is being recorded")
+                assert (told.status, told.json["unreadable"].split(":")[0]) == (200, "the log is being recorded")
             script.disarm()
             ended = script.tick
             name = client.event("log")["name"]
@@ -287,8 +287,8 @@ def test_a_drone_without_clients_is_levelled_then_disarmed(tmp_path: Path, monke
             if not state["armed"]:
                 break
         said = [line["text"] for line in server.ask("GET", "/api/drones/1/texts").json]
-        assert any("it is levelled" in line for line in said)
-        assert any("it is disarmed" in line for line in said)
+        assert any("the drone is levelled" in line for line in said)
+        assert any("the drone is disarmed" in line for line in said)
         levelled = [step for step in there.steps if step.theta0 == 0.0]
         assert levelled
         with Drone.connect(there.url) as script:  # it is free for others
@@ -309,7 +309,7 @@ def test_a_frozen_page_does_not_keep_the_drone(tmp_path: Path, monkeypatch: pyte
         assert server.ask("GET", "/api/drones/1").json["mode"] == "offboard"
         client.event("drone", armed=False)  # and then no more
         said = [line["text"] for line in server.ask("GET", "/api/drones/1/texts").json]
-        assert any("stands still for 0.4 s: it is levelled" in line for line in said)
+        assert any("stands still for 0.4 s: the drone is levelled" in line for line in said)
 
 
 def test_rows_go_on_after_the_drone_has_restarted(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ async def until(condition: Callable[[], object]) -> None:
 def test_a_job_tells_how_far_it_is_and_gives_its_result() -> None:
     async def work(jobs: Jobs, told: list[Mapping[str, Any]]) -> None:
         job = jobs.start("count", counts, 5)
-        assert job.told()["state"] == "running"
+        assert job.to_json()["state"] == "running"
         await until(lambda: job.over)
         assert job.result == {"counted": 5, "nan": None, "niceness": min(19, os.nice(0) + 10)}
         await until(lambda: told[-1]["job"]["state"] == "done")
@@ -93,7 +93,7 @@ def test_a_job_tells_how_far_it_is_and_gives_its_result() -> None:
     [
         (refuses, "too few samples", "fly longer"),
         (breaks, "a fault of the program: ZeroDivisionError: by zero", "report it"),
-        (dies, "its process ended in mid-work: it may have run out of memory", "ask for less"),
+        (dies, "the process ended in mid-work: it may have run out of memory", "ask for less"),
     ],
 )
 def test_a_job_that_fails_says_why_and_the_next_one_runs(
@@ -118,7 +118,7 @@ def test_watchers_have_a_share_of_the_jobs() -> None:
             jobs.start("sleep", sleeps, client=watchers[0])
         for _ in range(MOST_OF_WATCHERS - MOST_OF_ONE):
             jobs.start("sleep", sleeps, client=watchers[1])
-        with pytest.raises(Rejected, match="of those who watch"):
+        with pytest.raises(Rejected, match="of watching clients"):
             jobs.start("sleep", sleeps, client=watchers[2])
         jobs.start("sleep", sleeps, client=LabClient(Role.COMMAND, "10.0.0.0"))
         await jobs.cancel(first[-1].id)

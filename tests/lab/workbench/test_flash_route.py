@@ -63,7 +63,7 @@ def test_only_rehearsed_diagrams_are_flashed(lab: ServedLab) -> None:
     with stopped(child(os.getpid(), "fcu")):  # or it might be done
         assert told["text"] == "the drone builds it"
         status, refused = lab.call("DELETE", f"jobs/{sent['id']}")
-        assert (status, refused["what"]) == (409, "it cannot be ended now: the drone builds it")
+        assert (status, refused["what"]) == (409, "the job cannot be ended now: the drone builds it")
     over(lab, sent, "done")
     wild, found = rehearsed(lab, WILD)
     assert found["against"] == "what flies on drone 1"

@@ -228,7 +228,7 @@ class CommandLease:
     def _claim(self, source: Source, refused: str, held: str) -> CommandResult:
         """Make `source` the holder, or refuse: "`refused`: system 255, component 190 holds `held`"."""
         if not source[0]:
-            return denied(f"{refused}: it has no sender")
+            return denied(f"{refused}: the sender's MAVLink system is 0")
         if self.holder is None or (self.holder != source and self._stood >= HEARD):
             self.holder, self.orphaned, self.tuning_withheld = source, False, False
             self._until = self._vehicle.now

@@ -25,7 +25,8 @@ def lost_report(number: int, url: str, why: str, last: Mapping[str, Any]) -> dic
 def report(drone: AsyncDrone) -> dict[str, Any]:
     """Return the state of a connected drone.
 
-    `time` is the drone's as in its logs [s]; the battery's voltage is in V, its charge 0 to 1, both None while unknown.
+    `time` is the drone's time as in its logs [s]; the battery's voltage is in V, its charge 0 to 1, both None while
+    unknown.
     """
     holder = drone.lease.holder
     return _of_state(drone.state) | {
@@ -67,7 +68,7 @@ def _of_state(state: DroneState) -> dict[str, Any]:
 
 
 def in_words(causes: str) -> str:
-    """Return causes of the failsafe as the dialect's descriptions."""
+    """Return the dialect's descriptions of causes of the failsafe, whose names `causes` lists."""
     rows = {row.name.removeprefix("TWODOF_CAUSE_").lower(): row for row in _causes()}
     named = [one.strip() for one in causes.split(",") if one.strip()]
     return "; ".join(rows[one].description.rstrip(".") if one in rows else one for one in named)

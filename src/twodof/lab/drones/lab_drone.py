@@ -38,9 +38,9 @@ _PASSES = frozenset({"time"})
 
 
 class DroneConnection:
-    """Connection of a lab drone: pilot, parameters, recorder and telemetry while it lasts.
+    """Connection to a lab drone, with its pilot, parameters, recorder and telemetry.
 
-    `asked` is the last set-point of a client, as it was given.
+    `asked` is the last set-point of a client, in the form of the request.
     """
 
     def __init__(self, drone: AsyncDrone, lab_drone: LabDrone, folder: Path) -> None:
@@ -70,7 +70,7 @@ class DroneConnection:
         await until_one_ends(work)
 
     async def _ask_for_less(self) -> None:
-        """Stop the fast streams but the one with the time: clients' rows come in batches."""
+        """Stop the fast streams except that with the time: the rows for clients come in batches."""
         if not self.drone.ours or self.drone.session.lockstep:
             return
         self.drone.telemetry.stop()
@@ -114,7 +114,7 @@ class DroneConnection:
 class LabDrone:
     """Drone at `url`, kept connected. `number` is its MAVLink system, 0 before the first heartbeat.
 
-    `texts` are the last lines by the drone and about it, with the time [s] as in its logs.
+    `texts` are the last lines of text from the drone and about it, with the time [s] as in its logs.
     """
 
     def __init__(self, url: str, settings: LabSettings, audience: Audience) -> None:
@@ -123,7 +123,7 @@ class LabDrone:
         self.texts: deque[dict[str, Any]] = deque(maxlen=MOST_TEXTS)
         self._settings, self._audience = settings, audience
         self._connection: DroneConnection | None = None
-        self._why_lost = "it was not heard yet"
+        self._why_lost = "the drone was not heard yet"
         self._last: dict[str, Any] = {}
         self._lendings = 0
 
@@ -138,7 +138,7 @@ class LabDrone:
     def connection(self) -> DroneConnection:
         """The present connection. Raises LinkLost without one."""
         if self._connection is None:
-            raise LinkLost(self._why_lost, self.url, "see that it runs; the server connects again by itself")
+            raise LinkLost(self._why_lost, self.url, "check that it runs; the server connects again by itself")
         return self._connection
 
     @property
@@ -163,7 +163,7 @@ class LabDrone:
         self._lendings -= 1
 
     async def run(self) -> None:
-        """Keep it connected until cancelled; then it is left, disarmed if it was ours."""
+        """Keep the drone connected until cancelled; then leave it, disarmed if this server has the lease."""
         again = AGAIN_S
         while True:
             try:
@@ -181,7 +181,9 @@ class LabDrone:
         self.number = session.system
         session.on(lambda line: self.say(line.severity, line.text), StatusText)
         # Subscriptions are gone after a restart: a new session asks for all of them again.
-        session.on(lambda _: session.end(LinkLost("it has restarted", session.url, "wait a moment")), DroneRestarted)
+        session.on(
+            lambda _: session.end(LinkLost("it has restarted", session.url, "try again in a moment")), DroneRestarted
+        )
         self._connection = DroneConnection(drone, self, self._settings.folder)
         for line in drone.messages:  # of the time in which it was connected
             self.say(line.severity, line.text)
@@ -238,7 +240,7 @@ class LabDrones:
         self._tasks: list[asyncio.Task[None]] = []
 
     def __getitem__(self, number: int) -> LabDrone:
-        """Return the drone of a MAVLink system. Raises NotThere."""
+        """Return the drone with the MAVLink system `number`. Raises NotThere."""
         for one in self._drones:
             if one.number == number:
                 return one

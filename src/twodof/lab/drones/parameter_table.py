@@ -17,7 +17,7 @@ HASH = "_HASH_CHECK"
 
 
 class ParameterTable:
-    """Parameters and active controller of one drone; `changed` gets the names of changed parameters."""
+    """Parameters and active controller of one drone; `changed` is called with the names of changed parameters."""
 
     def __init__(self, drone: AsyncDrone, changed: Callable[[list[str]], None]) -> None:
         self._drone, self._tell = drone, changed

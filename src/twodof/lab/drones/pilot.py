@@ -49,7 +49,7 @@ class Pilot:
         """Give the lease up. Raises Rejected while the drone is armed under it, LinkLost, Timeout."""
         drone = self._drone
         if drone.lease.ours and drone.state.armed:
-            raise Rejected("it is armed", f"drone {drone.session.system}", "disarm it first")
+            raise Rejected("the drone is armed", f"drone {drone.session.system}", "disarm it first")
         async with self._leasing:
             drone.setpoints.stop()
             await drone.lease.give_up(LEASE_S)
@@ -76,7 +76,8 @@ class Pilot:
 
     async def _level(self) -> None:
         drone = self._drone
-        self._say("warning", f"every page that may command is gone or stands still for {LEVEL_S:g} s: it is levelled")
+        what = f"every page that may command is gone or stands still for {LEVEL_S:g} s: the drone is levelled"
+        self._say("warning", what)
         try:
             await drone.stop_excitation()
             await drone.level_hold()
@@ -86,9 +87,8 @@ class Pilot:
     async def _leave(self) -> None:
         drone = self._drone
         if drone.state.armed:
-            self._say(
-                "warning", f"every page that may command is gone or stands still for {LEAVE_S:g} s: it is disarmed"
-            )
+            what = f"every page that may command is gone or stands still for {LEAVE_S:g} s: the drone is disarmed"
+            self._say("warning", what)
             with suppress(LinkLost):
                 await drone.disarm()
         await self.give_up()
@@ -103,8 +103,9 @@ AGAIN_S = 5.0
 class FlightRecorder:
     """Recorder of the flights of `drone` into `folder`.
 
-    `flying` returns the active controller. `recorded` gets the name of each whole file, `failed` the reason of a
-    missing one. No recording starts while `rests` returns True. `name` is the file in writing, "" between flights.
+    `flying` returns the active controller. `recorded` is called with the name of each finished file, `failed` with the
+    reason why there is none. No recording starts while `rests` returns True. `name` is the file being written, ""
+    between flights.
     """
 
     def __init__(

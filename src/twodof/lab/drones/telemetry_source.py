@@ -19,7 +19,7 @@ from twodof.link.mavlink.messages import batch_rows, channel_mask
 
 
 async def until_one_ends(work: Iterable[Coroutine[Any, Any, Any]]) -> None:
-    """Run all until one ends; cancel the others and wait for them. Raises the first one's error."""
+    """Run all coroutines until one ends; cancel the others and wait for them. Raises the error of that one."""
     tasks = [asyncio.create_task(one) for one in work]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -32,10 +32,10 @@ async def until_one_ends(work: Iterable[Coroutine[Any, Any, Any]]) -> None:
 
 
 TOGETHER_S = 0.016
-"""Rows within this time [s] are sent together: a screen shows no more pictures."""
+"""Rows within this time [s] are sent together: a screen shows no more than 60 pictures a second."""
 LOOK_S = 0.05
 LINGER_S = 3.0
-"""Longest pause without a reader before the subscription ends: a page loaded again asks for the same."""
+"""Longest pause without a reader before the subscription ends [s]: a page that is loaded again needs the same."""
 _ALL = channel_mask(ONBOARD)
 
 
@@ -107,6 +107,6 @@ class TelemetrySource:
 
 @lru_cache(maxsize=64)
 def _places(mask: int) -> NDArray[np.intp]:
-    """Return the places in COLUMNS of a batch's columns."""
+    """Return the indices in COLUMNS of the columns of a batch with the channels `mask`."""
     columns = columns_of(mask)
     return np.array([PLACES[name] for name in sorted(columns, key=columns.__getitem__)], dtype=np.intp)

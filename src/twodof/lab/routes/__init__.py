@@ -1,1 +1,1 @@
-"""The routes of the API, a file a subject: each translates a request into a call of the library."""
+"""The routes of the API, one file for each subject. Each route translates a request into a call of the library."""

@@ -1,4 +1,4 @@
-"""Commands to a drone, and its excitations. The server takes the lease with the first; a kill needs none."""
+"""Commands to a drone, and its excitations. The server takes the lease with the first command; a kill needs none."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class AskedMode(RequestBody):
 
 
 class AskedReset(RequestBody):
-    """Start of a virtual drone: seed and gain of its noise, place on the rail [m], rings locked or not."""
+    """Restart of a virtual drone: seed and gain of its noise, place on the rail [m], rings locked or not."""
 
     seed: int = Field(default=1, ge=0, lt=2**32)
     x: float = Field(default=0.0, ge=-0.5, le=0.5)
@@ -44,7 +44,8 @@ class AskedReset(RequestBody):
 class AskedSetpoint(RequestBody):
     """Set-point of one loop: theta [rad], q [rad/s], M [-1 to 1], v [m/s], x [m].
 
-    `thrust` is 0 to 1, for theta, q and M; left out, it stays. `acceleration` [m/s^2] is fed forward, for v and x.
+    `thrust` is 0 to 1, for theta, q and M; left out, it stays unchanged. `acceleration` [m/s^2] is fed forward, for v
+    and x.
     """
 
     loop: Literal["theta", "q", "M", "v", "x"]
@@ -54,7 +55,7 @@ class AskedSetpoint(RequestBody):
 
 
 class AskedExcitation(RequestBody):
-    """Excitation as in the reference, the loop that it is added to, and the thrust of its flight."""
+    """Excitation as in the reference, the loop to whose set-point it is added, and the thrust during it."""
 
     excitation: dict[str, Any]
     loop: Literal["theta", "q", "M", "v", "x"] | None = None
@@ -74,7 +75,7 @@ _FOLLOW: Mapping[str, Callable[[AsyncDrone, float, float | None], Awaitable[None
 
 @router.post("/drones/{number}/arm")
 async def arm(one: NamedDrone) -> dict[str, Any]:
-    """Arm it, and see that it is. 409 with what speaks against it."""
+    """Arm the drone and wait until it confirms that. 409 with the reason against it."""
     async with one.commanded() as drone:
         await drone.arm()
     return one.state
@@ -82,16 +83,16 @@ async def arm(one: NamedDrone) -> dict[str, Any]:
 
 @router.post("/drones/{number}/disarm")
 async def disarm(one: NamedDrone) -> dict[str, Any]:
-    """Disarm it, and see that it is; set-points are sent no more. Needs no lease."""
+    """Stop the set-points, disarm the drone and wait until it confirms that. Needs no lease."""
     await one.drone.disarm()
     return one.state
 
 
 @router.post("/drones/{number}/kill", dependencies=[WATCHERS_MAY])
 async def kill(one: NamedDrone, client: CurrentClient) -> dict[str, Any]:
-    """Stop the motors now, under any lease, and repeat the order until that is seen. It holds until `release`.
+    """Stop the motors now, under any lease; repeat the order until the drone confirms it. It holds until `release`.
 
-    Clients that only watch may stop it too. All clients are told which one did, and the flight's log has it.
+    Clients that only watch may stop the motors too. All clients and the flight's log get a text that names the client.
     """
     drone = one.drone
     try:
@@ -103,7 +104,7 @@ async def kill(one: NamedDrone, client: CurrentClient) -> dict[str, Any]:
 
 @router.post("/drones/{number}/release")
 async def release(one: NamedDrone) -> dict[str, Any]:
-    """Let it be armed again after a kill."""
+    """Allow arming again after a kill."""
     async with one.commanded() as drone:
         await drone.release()
     return one.state
@@ -119,14 +120,14 @@ async def take_lease(one: NamedDrone) -> dict[str, Any]:
 
 @router.delete("/drones/{number}/lease")
 async def give_up_lease(one: NamedDrone) -> dict[str, Any]:
-    """Give the lease up, to a script for instance. 409 while the drone is armed under it."""
+    """Give up the lease, to a script for instance. 409 while the drone is armed under it."""
     await one.connection.pilot.give_up()
     return one.state
 
 
 @router.post("/drones/{number}/mode")
 async def mode(one: NamedDrone, asked: AskedMode) -> dict[str, Any]:
-    """Change the mode, and see that it is changed. `hold` levels it and ends the set-points."""
+    """Change the mode and wait until the drone confirms it. `hold` levels the drone and ends the set-points."""
     async with one.commanded() as drone:
         await (drone.level_hold() if asked.mode == "hold" else drone.set_mode(asked.mode))
     return one.state
@@ -134,7 +135,7 @@ async def mode(one: NamedDrone, asked: AskedMode) -> dict[str, Any]:
 
 @router.post("/drones/{number}/reset")
 async def reset(one: NamedDrone, asked: Annotated[AskedReset | None, Body()] = None) -> dict[str, Any]:
-    """Restart a virtual drone: tick 0, at rest. 409 for a real one, and while it is armed."""
+    """Restart a virtual drone at tick 0, at rest. 409 for a real drone, and while the drone is armed."""
     how = AskedReset() if asked is None else asked
     async with one.commanded() as drone:
         await drone.reset(how.seed, how.x, how.noise, how.rings)
@@ -159,7 +160,7 @@ async def stop_setpoint(one: NamedDrone) -> dict[str, Any]:
 
 @router.post("/drones/{number}/excitation")
 async def excite(one: NamedDrone, asked: AskedExcitation) -> dict[str, Any]:
-    """Play an excitation on board, added to what its loop follows. Answers when it starts: its first and last tick."""
+    """Play an excitation on board, added to the set-point of its loop. Return its first and last tick at its start."""
     played = excitation_of(asked.excitation)
     async with one.commanded() as drone:
         playback = await drone.excite(played, asked.loop, asked.thrust, wait=False)
@@ -177,7 +178,7 @@ async def stop_excitation(one: NamedDrone) -> dict[str, Any]:
 def excitation_of(given: dict[str, Any]) -> Excitation:
     """Return the excitation of a JSON form; a multisine with `peak` is Schroeder's. Raises ExperimentError."""
     if len(given) > 64:
-        raise ExperimentError(f"has {len(given)} fields", "excitation", "give those of its kind")
+        raise ExperimentError(f"has {len(given)} fields", "excitation", "give only the fields of its kind")
     if given.get("kind") == Multisine.kind and "peak" in given:
         return _multisine({name: value for name, value in given.items() if name not in ("kind", "version")})
     return from_dict({"version": 1, **given})
@@ -188,17 +189,17 @@ def _multisine(given: dict[str, Any]) -> Excitation:
         return Multisine.schroeder(**given)
     except TypeError as reason:
         raise ExperimentError(
-            f"a value is missing or strange: {reason}", "multisine", "give peak, period, harmonics"
+            f"a value is missing or unknown: {reason}", "multisine", "give peak, period, harmonics"
         ) from reason
 
 
 excitations_router = lab_router("/api/excitations", "excitations")
 PREDICT_S = 30.0
-"""The first time it compiles the closed loop."""
+"""Longest time of a prediction [s]; the first one compiles the closed loop."""
 
 
 class AskedPreview(AskedExcitation):
-    """Excitation, and the drone (0: none) and the place on the rail [m] for which its motion is predicted."""
+    """Excitation, with the drone (0: none) and its place on the rail [m] for a prediction of the motion."""
 
     drone: Annotated[int, Field(ge=0, le=255)] = 0
     x: Annotated[float, Field(ge=-0.4, le=0.4)] = 0.0
@@ -225,8 +226,8 @@ async def excitations() -> list[dict[str, Any]]:
 async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
     """Return the values of an excitation at `points` times over its duration [s]; nothing is flown.
 
-    `excitation` is its final form. `motion` is the predicted motion of the drone with its gains. The identified model
-    that guards its tuning predicts it, else its virtual rig. Without a prediction it is null, and `why` has the reason.
+    `excitation` is its final form. `motion` is the predicted motion of the drone with its gains, by the identified
+    model that guards its tuning, else by its virtual rig. Without a prediction it is null, and `why` has the reason.
     """
     played = excitation_of(asked.excitation)
     times = [played.duration * k / (asked.points - 1) for k in range(asked.points)]
@@ -265,7 +266,7 @@ async def _motion(
 
 
 async def _gains(drone: AsyncDrone) -> Gains:
-    """Return the drone's gains; they are read once, as the drone reports each change."""
+    """Return the drone's gains. They are read once, because the drone reports each change."""
     known = drone.parameters.known
     if not set(GAIN_NAMES) <= known.keys():
         known = await drone.parameters.all()

@@ -1,4 +1,4 @@
-"""Routes of diagrams: read, checked, compiled, kept, rehearsed and flashed. Nothing of them runs here."""
+"""Routes of diagrams, which are read, checked, compiled, kept, rehearsed and flashed. They never run in the server."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from twodof.lab.processes import Answer, Told
 router = lab_router("/api/diagrams", "diagrams")
 FAST_S, COMPILE_S = 10.0, 30.0
 MOST_TEXT = MAX_BYTES + (1 << 20)  # a text in JSON has its quotes escaped
-Name = Annotated[FileName, Path(description="Of a file in the folder of diagrams, no ending.")]
+Name = Annotated[FileName, Path(description="Name of a file in the folder of diagrams, without its ending.")]
 
 
 class AskedDiagram(RequestBody):
@@ -68,7 +68,7 @@ async def starter_text(name: Name) -> dict[str, str]:
 
 @router.post("/shapes", dependencies=[WATCHERS_MAY])
 async def shapes(lab: CurrentLab, request: Request, asked: AskedBlocks) -> list[dict[str, Any]]:
-    """Return each block's ports, parameters and mark of its structure; or what, where and remedy of an error."""
+    """Return each block's ports, parameters and structure; for a wrong block what, where and remedy of the error."""
     return await _work(lab, request, diagram_work.shapes, asked.blocks)
 
 
@@ -145,7 +145,7 @@ class AskedRehearsal(AskedDiagram):
 
 
 class AskedFlash(AskedRehearsal):
-    """Diagram, drone, and the job that rehearsed them; `force` flies it though that found it unstable."""
+    """Diagram, drone, and the job of their rehearsal; `force` flies a diagram that the rehearsal found unstable."""
 
     rehearsal: str = Field(max_length=40)
     force: bool = False
@@ -154,25 +154,25 @@ class AskedFlash(AskedRehearsal):
 @jobs_router.post("/margins", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
 async def margins(lab: CurrentLab, client: CurrentClient, asked: AskedLoop) -> dict[str, Any]:
     """Start a job for the margins and Bode plots of the loops that a diagram closes."""
-    return lab.jobs.start("margins", diagram_work.margins, asked.text, asked.rig, client=client).told()
+    return lab.jobs.start("margins", diagram_work.margins, asked.text, asked.rig, client=client).to_json()
 
 
 @jobs_router.post("/px4", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
 async def px4(lab: CurrentLab, client: CurrentClient, asked: AskedDiagram) -> dict[str, Any]:
     """Start a job that exports a module for PX4; its result has the folder as a zip file in base 64."""
-    return lab.jobs.start("px4", diagram_work.px4_module, asked.text, client=client).told()
+    return lab.jobs.start("px4", diagram_work.px4_module, asked.text, client=client).to_json()
 
 
 @jobs_router.post("/rehearsal", status_code=202, dependencies=[takes(MOST_TEXT)])
 async def rehearsal(lab: CurrentLab, asked: AskedRehearsal) -> dict[str, Any]:
-    """Start a job that does everything of flashing but the last step. Nothing is changed on the drone."""
+    """Start a job that does every step of flashing but the last. Nothing is changed on the drone."""
     template = await lab.workbench.do(diagram_work.template, asked.text, seconds=COMPILE_S)
     before, origin = await _flies(lab, asked.drone, template)
     job = lab.jobs.start(REHEARSAL, diagram_work.rehearsal, asked.text, before, origin)
     known = {one.id for one in lab.jobs.all}
     lab.rehearsed = {name: kept for name, kept in lab.rehearsed.items() if name in known}
     lab.rehearsed[job.id] = _mark(asked.drone, asked.text)
-    return job.told()
+    return job.to_json()
 
 
 @jobs_router.post("/flash", status_code=202, dependencies=[takes(MOST_TEXT)])
@@ -192,12 +192,13 @@ async def flash(lab: CurrentLab, asked: AskedFlash) -> dict[str, Any]:
         raise Rejected("this diagram was not rehearsed for this drone", where, "rehearse it first")
     fault = job.result["trial"]["fault"]
     if fault and not asked.force:
-        raise Rejected(f"it is unstable on the virtual rig: {fault}", where, "mend it, or confirm that it is to fly")
+        what = f"the diagram is unstable on the virtual rig: {fault}"
+        raise Rejected(what, where, "mend it, or confirm that it is to fly")
     if lab.drones[asked.drone].drone.state.armed:
-        raise Rejected("it is armed", where, "disarm it first")
+        raise Rejected("the drone is armed", where, "disarm it first")
     if any(one.kind == f"flash {asked.drone}" and not one.over for one in lab.jobs.all):
-        raise Rejected("another diagram is flashed there", where, "wait for its end")
-    return lab.jobs.watch(f"flash {asked.drone}", partial(_flashed, lab, asked, job.result["template"])).told()
+        raise Rejected("another diagram is being flashed there", where, "wait for its end")
+    return lab.jobs.watch(f"flash {asked.drone}", partial(_flashed, lab, asked, job.result["template"])).to_json()
 
 
 async def _flashed(lab: Lab, asked: AskedFlash, template: str, told: Told) -> dict[str, Any]:

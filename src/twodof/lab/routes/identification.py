@@ -28,7 +28,7 @@ DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
 
 class AskedPlan(RequestBody):
-    """Experiment, and the drone that would fly it; `rehearse` adds a flight with noise and gusts, and its fit."""
+    """Experiment, and the drone for which it is planned; `rehearse` adds a simulated flight with noise, and its fit."""
 
     experiment: AskedExperiment
     drone: DroneNumber | None = None
@@ -74,7 +74,7 @@ async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> d
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
     values = {} if asked.model is None else lab.models.values(asked.model)
     given = (asked.experiment.experiment(), rig, values, asked.rehearse)
-    return lab.jobs.start("plan", plan, *given, client=client).told()
+    return lab.jobs.start("plan", plan, *given, client=client).to_json()
 
 
 @router.post("/fly", status_code=202)
@@ -87,7 +87,7 @@ async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
     one = lab.drones[asked.drone]
     made = asked.experiment.experiment()
     if one.drone.state.armed:
-        raise Rejected("it is armed", f"drone {asked.drone}", "disarm it first")
+        raise Rejected("the drone is armed", f"drone {asked.drone}", "disarm it first")
     await one.connection.pilot.give_up()
     stop = multiprocessing.get_context("forkserver").Event()
     key = None if lab.settings.key is None else str(lab.settings.key)
@@ -98,38 +98,39 @@ async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
     lab.stops = {name: kept for name, kept in lab.stops.items() if name in running} | {job.id: stop}
     lent = one.lend()
     lab.jobs.when_over(job, lambda ended: _flown(one, lent, ended))
-    return job.told()
+    return job.to_json()
 
 
 @router.post("/fly/{job}/stop")
 async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> dict[str, Any]:
-    """End a flight: it disarms at once, and its log is kept."""
+    """End a flight: the drone disarms at once, and the log is kept."""
     found = lab.jobs[job]
     if (stop := lab.stops.get(job)) is not None:
         stop.set()
-    return found.told()
+    return found.to_json()
 
 
 @router.post("/fit", status_code=202, dependencies=[WATCHERS_MAY])
 async def fitted(lab: CurrentLab, client: CurrentClient, asked: AskedFit) -> dict[str, Any]:
     """Start a job that identifies from a log by output error and by hand; its result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
-        raise ParameterError(f"nothing is identified from {shown(asked.kind)}", "kind", listed(KINDS))
+        what = f"nothing is identified from {shown(asked.kind)}"
+        raise ParameterError(what, "kind", f"choose one of {listed(KINDS)}")
     impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
     others = [str(lab.whole_log(name)) for name in asked.others]
     given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance)
-    return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given, client=client).told()
+    return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given, client=client).to_json()
 
 
 def _flown(one: LabDrone, lent: ExitStack, job: Job) -> None:
-    """Take the drone back, and send the log's name to all clients."""
+    """Take the drone back from the job, and send the log's name to all clients."""
     lent.close()
     if isinstance(job.result, dict):
         one.tell_log(job.result["log"])
 
 
 models_router = lab_router("/api/models", "models")
-ModelName = Annotated[FileName, Path(description="What the model was called when it was kept.")]
+ModelName = Annotated[FileName, Path(description="Name under which the model was kept.")]
 
 
 class AskedKeeping(RequestBody):
@@ -168,13 +169,13 @@ async def keep(lab: CurrentLab, asked: AskedKeeping) -> dict[str, Any]:
     job = lab.jobs[asked.job]
     document = job.result.get("model") if isinstance(job.result, dict) else None
     if not isinstance(document, dict):
-        raise Rejected("this job has found no model", f"job {asked.job}", "keep that of a fit that is done")
+        raise Rejected("this job has found no model", f"job {asked.job}", "choose a fit that is done")
     return lab.models.keep(asked.name, document, asked.overwrite)
 
 
 @models_router.put("/{name}", status_code=201, dependencies=[takes(MAX_BYTES)])
 async def bring(lab: CurrentLab, name: ModelName, document: dict[str, Any]) -> dict[str, Any]:
-    """Keep a model's document, as `twodof identify --out` writes it. 409 for an existing name."""
+    """Keep a model whose document `twodof identify --out` wrote. 409 for an existing name."""
     return lab.models.keep(name, document)
 
 
@@ -194,4 +195,4 @@ async def controller(lab: CurrentLab, name: ModelName, asked: AskedController) -
     """
     family = lab.models.family(name)
     given = (str(lab.diagrams.place(asked.name)), asked.crossover, asked.phase_margin, asked.method, asked.overwrite)
-    return lab.jobs.start("controller", design, family.to_json(), *given).told()
+    return lab.jobs.start("controller", design, family.to_json(), *given).to_json()

@@ -32,9 +32,9 @@ router = lab_router("/api/logs", "logs")
 MOST_SUMMARIES = 4000
 MOST_UPLOADED = MAX_FILE_BYTES // 2
 READ_S, CONVERT_S = 30.0, 90.0
-Name = Annotated[LogName, Path(description="Of a log, as the list tells it.")]
-Moment = Annotated[float | None, Query(description="Of the log's time [s]; left out: the whole of it.")]
-Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Of each curve, about.")]
+Name = Annotated[LogName, Path(description="Name of a log in the list.")]
+Moment = Annotated[float | None, Query(description="In the log's time [s]; left out: the whole log.")]
+Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Points of each curve, about.")]
 Format = Literal["mcap", "mat", "parquet", "csv", "ulg"]
 FORMATS: tuple[str, ...] = get_args(Format)
 _RAW = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string"}}}}}
@@ -57,7 +57,7 @@ async def logs(lab: CurrentLab) -> dict[str, Any]:
 @router.get("/compare")
 async def compare(
     lab: CurrentLab,
-    name: Annotated[list[str], Query(min_length=2, max_length=MOST_FLIGHTS, description="Of each log.")],
+    name: Annotated[list[str], Query(min_length=2, max_length=MOST_FLIGHTS, description="Name of each log.")],
     align: Literal["step", "start"] = "step",
     begin: Moment = None,
     end: Moment = None,
@@ -65,7 +65,7 @@ async def compare(
 ) -> dict[str, Any]:
     """Compare logs, with time 0 at the first step of a set-point or at the start, and their steps."""
     if len(set(name)) < len(name):
-        raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each once")
+        raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each log once")
     paths = {one: str(lab.whole_log(one)) for one in name}
     return await _work(lab, log_work.compare, paths, align, _window(begin, end), points)
 
@@ -74,8 +74,8 @@ async def compare(
 async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Return a log's summary, channels, parameters, texts of the drone, changes of parameters, and notes.
 
-    `unreadable` has the reason if there are only the notes, else "". `formats` are the formats for download: only its
-    own for a damaged log, none while it is being recorded.
+    `unreadable` has the reason if the log cannot be read, and there are only the notes; else "". `formats` are the
+    formats for download: only its own for a damaged log, none while it is being recorded.
     """
     path = lab.logs.place(name)
     kept = {"notes": lab.logs.notes(name), "ours": path.parent == lab.logs.folder}
@@ -136,7 +136,7 @@ async def replay(lab: CurrentLab, name: Name) -> dict[str, Any]:
 
 @router.get("/{name}/file", response_class=Response)
 async def file(
-    lab: CurrentLab, name: Name, form: Annotated[Format | None, Query(description="Left out: as it is.")] = None
+    lab: CurrentLab, name: Name, form: Annotated[Format | None, Query(description="Left out: that of the file.")] = None
 ) -> Response:
     """Download the log, in its own format or in another."""
     path = lab.whole_log(name)
@@ -175,7 +175,7 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Delete a log; for some days `restore` brings it back."""
     path = lab.logs.ours(name)
     if path.name in lab.drones.recordings:
-        raise Rejected("it is being recorded", path.name, "disarm the drone first")
+        raise Rejected("the log is being recorded", path.name, "disarm the drone first")
     return lab.logs.trash.put(path)
 
 
@@ -203,7 +203,8 @@ async def _receive(request: Request, path: FilePath) -> None:
             async for piece in request.stream():
                 stream.write(piece)
     except OSError as refusal:
-        raise RecordingError(f"cannot be kept: {os.strerror(refusal.errno or 0)}", "logs") from refusal
+        what = f"cannot be kept: {os.strerror(refusal.errno or 0)}"
+        raise RecordingError(what, "logs", "make room on the server's disk") from refusal
 
 
 def _in_words(reason: TwodofError) -> str:

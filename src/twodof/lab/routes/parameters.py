@@ -34,14 +34,14 @@ Confirmed = Annotated[str, Query(max_length=64, description="The token of POST /
 async def parameters(one: NamedDrone) -> list[dict[str, Any]]:
     """List every parameter: value, default, bounds, unit, text; `tuning` is True if a change needs no lease.
 
-    `same_as` is the package's name if this is the real drone's name of the same parameter, else "".
+    `same_as` is twodof's name if this is the real drone's name of the same parameter, else "".
     """
     return [_row(entry) for entry in await one.connection.parameters.entries()]
 
 
 @router.patch("")
 async def change(lab: CurrentLab, one: NamedDrone, changes: Changes, confirm: Confirmed = "") -> dict[str, Any]:
-    """Change several at once, all or none; return each value before and now.
+    """Change several parameters at once, all or none; return each value before and now.
 
     422 for a wrong name or value, 409 with the drone's reason; then nothing was changed. 409 also for gains that the
     drone's model does not keep stable, until `confirm` has the token of their preview.
@@ -52,10 +52,10 @@ async def change(lab: CurrentLab, one: NamedDrone, changes: Changes, confirm: Co
 
 @router.post("/undo")
 async def undo(lab: CurrentLab, one: NamedDrone, confirm: Confirmed = "") -> dict[str, Any]:
-    """Undo the last change of this server; return each value before and now. The model guards it like a change.
+    """Undo the last change by this server; return each value before and now. The model guards this like a change.
 
-    409 if there is none, or if another client has changed the same since. 409 also for gains that the model does not
-    keep stable, until `confirm` has their token.
+    409 if there is no change, or if another client has changed the same parameters since. 409 also for gains that the
+    model does not keep stable, until `confirm` has their token.
     """
     parameters = one.connection.drone.parameters
     judged = parameters.last
@@ -77,7 +77,7 @@ def _row(entry: ParameterEntry) -> dict[str, Any]:
 
 
 files_router = lab_router("/api/drones/{number}/parameters", "parameters")
-SnapshotName = Annotated[FileName, Path(description="What the snapshot is called.")]
+SnapshotName = Annotated[FileName, Path(description="Name of the snapshot.")]
 TEXT = "text/plain; charset=utf-8"
 
 
@@ -187,7 +187,7 @@ class AskedModel(RequestBody):
 
 
 class AskedChanges(RequestBody):
-    """Changed parameters by name, and the step of theta [rad] to show; without a `model` the guarding one."""
+    """Changed parameters by name, the step of theta [rad] to show, and the `model`, by default the guarding one."""
 
     changes: dict[Annotated[str, Field(max_length=200)], Finite] = Field(default_factory=dict, max_length=200)
     goal: StepSize = USUAL_STEP
@@ -202,7 +202,7 @@ async def guarded(lab: CurrentLab, one: NamedDrone) -> dict[str, Any]:
 
 @tuning_router.put("/{number}/model")
 async def choose(lab: CurrentLab, one: NamedDrone, asked: AskedModel) -> dict[str, Any]:
-    """Let a model guard the drone's gains: gains that its uncertainty does not keep stable need a token."""
+    """Choose the model that guards the drone's gains: gains that are unstable within its uncertainty need a token."""
     lab.models.choose(one.number, asked.model)
     return await guarded(lab, one)
 
@@ -211,12 +211,12 @@ async def choose(lab: CurrentLab, one: NamedDrone, asked: AskedModel) -> dict[st
 async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict[str, Any]:
     """Preview the pitch law with `changes`: margins, band of step responses, figures and verdict.
 
-    `touches` is True if the changes affect the law, `parameters` are those that do. `confirm` is the token for a change
-    that is not kept stable. `why` has the reason of a missing preview, else "": a law may lack a linear model.
+    `touches` is True if the changes affect the law; `parameters` are those that can. `confirm` is the token for an
+    unstable change. `why` has the reason if there is no preview, as for a law without a linear model, else "".
     """
     name = asked.model or lab.models.chosen(one.number)
     if name is None:
-        raise NotThere("no model guards this drone", f"drone {one.number}", "identify one, or choose one")
+        raise NotThere("no model guards this drone", f"drone {one.number}", "choose a model, or identify one")
     try:
         told = await lab.guard.judge(one, asked.changes, name, asked.goal)
     except DiagramError as reason:
@@ -237,7 +237,7 @@ async def measured(
     log: Annotated[LogName, Body()],
     goal: Annotated[StepSize, Body()] = USUAL_STEP,
 ) -> dict[str, Any]:
-    """Return the steps of theta in a log, each scaled to `goal` [rad] and begun at 0.
+    """Return the steps of theta in a log, each shifted and scaled to go from 0 to `goal` [rad].
 
     `unclear` has the reason if there are none: the log has no modes, cannot be read, or was deleted.
     """

@@ -70,25 +70,25 @@ async def texts(one: NamedDrone) -> list[dict[str, Any]]:
 
 
 jobs_router = lab_router("/api/jobs", "jobs")
-JobId = Annotated[str, Path(max_length=40, description="The id that the route told which started it.")]
+JobId = Annotated[str, Path(max_length=40, description="Id from the answer of the route that started the job.")]
 
 
 @jobs_router.get("")
 async def jobs(lab: CurrentLab) -> list[dict[str, Any]]:
     """List running and recently ended jobs, the oldest first, without their results."""
-    return [job.told(with_result=False) for job in lab.jobs.all]
+    return [job.to_json(with_result=False) for job in lab.jobs.all]
 
 
 @jobs_router.get("/{job}")
 async def job(lab: CurrentLab, job: JobId) -> dict[str, Any]:
     """Return one job: state, fraction 0 to 1, text, and at its end its result or its error."""
-    return lab.jobs[job].told()
+    return lab.jobs[job].to_json()
 
 
 @jobs_router.delete("/{job}")
 async def cancel(lab: CurrentLab, job: JobId) -> dict[str, Any]:
     """End a job and its process; a job that has ended stays as it is."""
-    return (await lab.jobs.cancel(job)).told()
+    return (await lab.jobs.cancel(job)).to_json()
 
 
 export_router = lab_router("/api/export", "export")
@@ -100,7 +100,7 @@ Columns = Annotated[str, Query(max_length=4096, description="Names of the column
 
 @export_router.post("/mat", openapi_extra=_BINARY, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
 async def mat(request: Request, columns: Columns) -> Response:
-    """Save the rows of a plot as a .mat file with the channels of the drone's own logs.
+    """Return the rows of a plot as a .mat file with the channels of the drone's own logs.
 
     The body is float64[n] times [s], then float32[n] of each column, little-endian. 422 for any other body.
     """
