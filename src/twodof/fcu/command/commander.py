@@ -114,7 +114,7 @@ class ExcitationControl:
         """Return the reason against the definition `transfer` in the loop `loop` from `at_tick` on (0: now), or ""."""
         player, now = self.player, self._vehicle.now
         if player.playing:
-            return "another plays"
+            return "another one plays"
         if not player.unit or player.transfer != transfer:
             return f"there is no definition {transfer}, whole and not yet played"
         if not 0 <= loop < len(LOOPS):
