@@ -240,6 +240,8 @@ def test_wrong_loops_are_refused_with_a_remedy() -> None:
     good = loop([1.0], [1.0, 1.0])
     with pytest.raises(ParameterError, match="not a loop of one input"):
         LoopTransfer(np.eye(2), np.ones((2, 2)), np.ones((1, 2)), 0.0)
+    with pytest.raises(ParameterError, match="not all matrices"):
+        LoopTransfer([[0.0]], [[1.0]], [[1.0]], 0.0)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="not a linear model"):
         margins([1.0, 2.0])
     with pytest.raises(ParameterError, match="NaN or infinity"):

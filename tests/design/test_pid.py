@@ -75,6 +75,8 @@ def test_a_loop_below_one_has_no_crossover() -> None:
     "call",
     [
         lambda: shaped_pid(-1.0, 30.0),
+        lambda: shaped_pid("350", 30.0),
+        lambda: cascade_design(PAPER_PITCH_RATE, None),
         lambda: shaped_pid(358.5, 60.0),
         lambda: shaped_pid(358.5, math.nan),
         lambda: pid_at(1.0 + 0.0j, 10.0, form="PIDD"),

@@ -1,6 +1,7 @@
 """The grey-box fit: several experiments, any diagram, both domains, honest uncertainty, and what it refuses."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -244,6 +245,16 @@ def test_pieces_between_lost_inputs_give_the_truth() -> None:
     assert abs(held["mu"] - 300.0) > 10.0 * pieces.sigma("mu")
 
 
+def test_records_may_be_the_values_of_a_mapping() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(9))
+    by_name = {"first": record, "second": replace(record, name="again")}
+    found = [
+        fit(pitch_rate(), given, estimate=("mu", "tau"), disturbance="white")
+        for given in (list(by_name.values()), by_name.values(), (one for one in by_name.values()))
+    ]
+    assert found[0]["mu"] == found[1]["mu"] == found[2]["mu"]
+
+
 TEN = DT * np.arange(10)
 UNMEASURED = Record.from_columns(TEN, {"M": U[:10], "z": U[:10]}, ["M"], ["z"])
 LOG = FlightLog({"M": Channel(TEN, U[:10], "-", (), "M")})
@@ -271,6 +282,7 @@ LOG = FlightLog({"M": Channel(TEN, U[:10], "-", (), "M")})
         (pitch_rate(), LOG, {}, r"a FlightLog is not a record.*cut"),
         (pitch_rate(), [UNMEASURED, LOG], {}, "a FlightLog is not a record"),
         (pitch_rate(), None, {}, "a NoneType is not a record"),
+        (pitch_rate(), {"M": UNMEASURED}, {}, "a dict is not a record"),
     ],
 )
 def test_wrong_arguments_are_refused_by_name(

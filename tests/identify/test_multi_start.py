@@ -63,14 +63,16 @@ def test_one_start_is_the_fit() -> None:
 
 def test_what_is_refused() -> None:
     wave = Structure.of_block(Wave())
-    for ends in ((5.0, 5.0), (0.0, 5.0), (5.0, 500.0), (math.nan, 5.0)):
+    for ends in ((5.0, 5.0), (0.0, 5.0), (5.0, 500.0), (math.nan, 5.0), 5.0, (1.0,), ("a", "b")):
         with pytest.raises(IdentificationError, match="cannot be drawn"):
-            fit_from_several(wave, record(), {"w": ends})
+            fit_from_several(wave, record(), {"w": ends})  # type: ignore[dict-item]
+    with pytest.raises(IdentificationError, match="the ranges are"):
+        fit_from_several(wave, record(), ["w"])  # type: ignore[arg-type]
     with pytest.raises(IdentificationError, match="no unknown is called 'v'"):
         fit_from_several(wave, record(), {"v": (1.0, 2.0)})
-    for starts in (0, -1, 10**9):
+    for starts in (0, -1, 10**9, 2.5, "x"):
         with pytest.raises(IdentificationError, match="starts"):
-            fit_from_several(wave, record(), {"w": (1.0, 2.0)}, starts=starts)
+            fit_from_several(wave, record(), {"w": (1.0, 2.0)}, starts=starts)  # type: ignore[arg-type]
     silent = Record.from_columns(T, {"u": 0.0 * T, "y": T}, ["u"], ["y"])
     with pytest.raises(IdentificationError, match="say nothing about 'w'"):
         fit_from_several(wave, silent, {"w": (1.0, 60.0)}, starts=3)

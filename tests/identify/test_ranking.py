@@ -105,6 +105,8 @@ def test_what_cannot_be_compared_is_refused() -> None:
     banded = fit(pitch_rate(), record(0), estimate=["mu"], values=VALUES, band=(1.0, 20.0))
     with pytest.raises(IdentificationError, match="1 fits"):
         rank({"a": one})
+    with pytest.raises(IdentificationError, match="0 fits"):
+        rank([one, one])  # type: ignore[arg-type]
     with pytest.raises(IdentificationError, match="different data"):
         rank({"a": one, "b": two})
     with pytest.raises(IdentificationError, match="frequency domain"):

@@ -87,8 +87,16 @@ def test_what_is_refused() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(2))
     with pytest.raises(IdentificationError, match="no unknown is called 'mue'"):
         simulate(pitch_rate(), record, {"mue": 1.0})
-    with pytest.raises(IdentificationError, match="'mu' is not a number"):
-        simulate(pitch_rate(), record, {"mu": float("nan")})
+    for value in (float("nan"), "x", None, True):
+        with pytest.raises(IdentificationError, match="'mu' is not a number"):
+            simulate(pitch_rate(), record, {"mu": value})  # type: ignore[dict-item]
+    with pytest.raises(IdentificationError, match="give a dict by name"):
+        simulate(pitch_rate(), record, "mu")  # type: ignore[arg-type]
+    for odd in (2.5, "x"):
+        with pytest.raises(IdentificationError, match="give a whole number"):
+            simulate(pitch_rate(), record, TRUE, initial=odd)  # type: ignore[arg-type]
+        with pytest.raises(IdentificationError, match="samples ahead"):
+            predict_ahead(pitch_rate(), record, TRUE, steps=odd)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="outside"):
         simulate(pitch_rate(), record, {"mu": 1e9})
     for odd in (0, -3):

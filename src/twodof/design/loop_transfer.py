@@ -37,7 +37,9 @@ class LoopTransfer:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        n, shapes = len(self.a), tuple(np.shape(part) for part in (self.a, self.b, self.c))
+        if not all(isinstance(part, np.ndarray) and part.ndim == 2 for part in (self.a, self.b, self.c)):
+            raise _error("a, b and c are not all matrices", "give arrays, or a model to LoopTransfer.of")
+        n, shapes = len(self.a), tuple(part.shape for part in (self.a, self.b, self.c))
         if shapes != ((n, n), (n, 1), (1, n)):
             raise _error(f"shapes {shapes} are not a loop of one input and one output", "give (n,n), (n,1), (1,n)")
         if n > MAX_STATES:

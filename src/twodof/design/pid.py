@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import ParameterError, shown
+from twodof.errors import ParameterError, is_number, shown
 from twodof.models.lti import DelayedStateSpace, transfer
 from twodof.signals import PERIOD
 
@@ -156,5 +156,5 @@ def _check_signs(gains: PidGains, form: str, wanted: complex, crossover: float) 
 
 
 def _positive(name: str, value: float) -> None:
-    if not 0.0 < value < math.inf:
+    if not is_number(value) or value <= 0.0:
         raise ParameterError(f"{name} = {shown(value)} is not a positive number", "pid", "give a finite number > 0")

@@ -7,13 +7,15 @@ residual has a colour, a noise model takes it out of residual and sensitivities 
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
+from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import check_identifiable, covariance, doubted, robust_covariance
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.disturbance.noise_search import Disturbed, check_disturbance, search
@@ -29,7 +31,7 @@ Array = NDArray[np.float64]
 
 def fit(
     structure: Structure,
-    records: Record | Sequence[Record],
+    records: Record | Iterable[Record],
     *,
     estimate: Collection[str] | None = None,
     values: Mapping[str, float] | None = None,
@@ -37,7 +39,7 @@ def fit(
     separate: Collection[str] = (),
     noise: Mapping[str, float] | None = None,
     band: tuple[float, float] | None = None,
-    validation: Record | Sequence[Record] = (),
+    validation: Record | Iterable[Record] = (),
     like: str = "",
     disturbance: Disturbance = "auto",
     prior: Mapping[str, tuple[float, float]] | None = None,
@@ -69,7 +71,7 @@ def fit(
     tell (apart), naming them.
     """
     check_structure(structure)
-    several = _several(records)
+    several, checked = _several(records), _several(validation)
     wanted = structure.estimate if estimate is None else _names(estimate)
     where = f"structure '{structure.name}'"
     if not wanted or len(set(wanted)) < len(wanted):
@@ -95,14 +97,14 @@ def fit(
         still = {name: 0.0 for name in wanted if name not in moving}
         again = fit(
             structure,
-            records,
+            several,
             estimate=moving,
             values={n: value for n, value in (values or {}).items() if n.partition("[")[0] not in still} | still,
             bounds=bounds,
             separate=separate,
             noise=noise,
             band=band,
-            validation=validation,
+            validation=checked,
             like=like,
             disturbance=disturbance,
             prior={name: one for name, one in (prior or {}).items() if name not in still},
@@ -128,7 +130,7 @@ def fit(
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition,
         identification=_comparisons(problem, minimum.x, found),
-        validation=_validation(problem, minimum.x, _several(validation), like),
+        validation=_validation(problem, minimum.x, checked, like),
         iterations=minimum.iterations,
         converged=minimum.converged,
         domain="time domain" if band is None else f"frequency domain, {band[0]:g} to {band[1]:g} Hz",
@@ -158,8 +160,11 @@ def _names(names: Collection[str]) -> tuple[str, ...]:
     return tuple(names) if isinstance(names, Sequence) else tuple(sorted(names))
 
 
-def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
-    several = tuple(records) if isinstance(records, Sequence) else (records,)
+def _several(records: Record | Iterable[Record]) -> tuple[Record, ...]:
+    several: tuple[Any, ...] = (records,)
+    # A log or a mapping would give the names of its channels or items.
+    if isinstance(records, Iterable) and not isinstance(records, FlightLog | Mapping):
+        several = tuple(records)
     for one in several:
         check_record(one)
     return several

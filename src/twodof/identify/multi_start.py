@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
@@ -126,13 +126,19 @@ def _drawn(
 
 def _check(structure: Structure, within: Mapping[str, tuple[float, float]], starts: int) -> None:
     check_structure(structure)
+    if not isinstance(within, Mapping):
+        raise structure.error(f"the ranges are {shown(within)}", "give {name: (low, high)}")
     structure.check_names(within)
-    if not 1 <= starts <= MAX_STARTS:
-        raise structure.error(f"{starts} starts", f"give 1 to {MAX_STARTS}")
-    for name, (low, high) in within.items():
+    if not is_number(starts, 1, MAX_STARTS, whole=True):
+        raise structure.error(f"{shown(starts)} starts", f"give 1 to {MAX_STARTS}")
+    for name, ends in within.items():
         lower, upper = structure.unknowns[name].lower, structure.unknowns[name].upper
+        try:
+            low, high = (float(end) for end in ends)
+        except (TypeError, ValueError):
+            low = high = math.nan
         if not (math.isfinite(high - low) and lower <= low < high <= upper):
             raise structure.error(
-                f"the first guess of '{name}' cannot be drawn from {low:g} to {high:g}",
+                f"the first guess of '{name}' cannot be drawn from {shown(ends)}",
                 f"give a range, low first, within {lower:g} to {upper:g}",
             )

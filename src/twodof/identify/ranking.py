@@ -178,10 +178,10 @@ def select(
 
 
 def _check(fits: Mapping[str, Estimate]) -> None:
-    if len(fits) < 2:
-        raise IdentificationError(
-            f"{len(fits)} fits", "rank", 'give two or more, as {"plain": fit(...), "lag": fit(...)}'
-        )
+    count = sum(isinstance(one, Estimate) for one in fits.values()) if isinstance(fits, Mapping) else 0
+    if count < 2 or count < len(fits):
+        remedy = 'give two or more, as {"plain": fit(...), "lag": fit(...)}'
+        raise IdentificationError(f"{count} fits by name", "rank", remedy)
     data = {
         name: [(c.record, c.output, c.measured.tobytes()) for c in one.identification] for name, one in fits.items()
     }

@@ -1,13 +1,12 @@
 """Simulation of a structure on a record, from its start or its first samples, and prediction samples ahead."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
 from twodof.identify.estimate import Estimate
 from twodof.identify.problem import Problem
@@ -87,8 +86,8 @@ def predict_ahead(
     future, and the prediction is the simulation. Without an estimate an autoregression is fitted to the record's own
     errors. `values`, `initial` and errors as in `simulate`; IdentificationError for `steps` below 1.
     """
-    if steps < 1:
-        raise record.error(f"{steps} samples ahead", "give 1 or more")
+    if not is_number(steps, 1, whole=True):
+        raise record.error(f"{shown(steps)} samples ahead", "give a whole number, 1 or more")
     found = simulate(structure, record, values, initial=initial)
     for name, simulated in found.items():
         samples = record.outputs[name]
@@ -131,6 +130,8 @@ def _weights(polynomial: Array, steps: int) -> Array:
 
 def _start(record: Record, samples: int, where: str) -> Record:
     """Return the first steps of a record, with the samples of its outputs in the first `samples` steps."""
+    if not is_number(samples, whole=True):
+        raise IdentificationError(f"the first {shown(samples)} samples", where, "give a whole number of steps")
     steps = min(record.steps, samples + _BEHIND)
     outputs = {}
     for name, output in record.outputs.items():
@@ -149,6 +150,8 @@ def _given(structure: Structure, record: Record, values: Mapping[str, float] | E
     """
     check_structure(structure)
     check_record(record)
+    if not isinstance(values, Mapping | Estimate | None):
+        raise structure.error(f"the values are {shown(values)}", "give a dict by name, or an estimate")
     own = dict(values.fixed if isinstance(values, Estimate) else values or {})
     if isinstance(values, Estimate):
         for label, value in zip(values.labels, values.values, strict=True):
@@ -156,7 +159,6 @@ def _given(structure: Structure, record: Record, values: Mapping[str, float] | E
             if not bracket or of.removesuffix("]") == record.name:
                 own[name] = float(value)
     structure.check_names(own)
-    if wrong := [name for name, value in own.items() if not math.isfinite(value)]:
-        where = f"structure '{structure.name}'"
-        raise IdentificationError(f"the value of '{wrong[0]}' is not a number", where, "give a finite number")
+    if wrong := [name for name, value in own.items() if not is_number(value)]:
+        raise structure.error(f"the value of '{wrong[0]}' is not a number", "give a finite number")
     return {name: unknown.value for name, unknown in structure.unknowns.items()} | own

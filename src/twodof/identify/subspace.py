@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.record import Record, check_record
 from twodof.models.structure import MAX_STATES, Entry, Structure, linear_model
 
@@ -106,11 +106,11 @@ def subspace(
     steps, m, p = u.shape[0], u.shape[1], y.shape[1]
     most = (steps + 1) // (2 * (m + p) + 2)
     reach = min(max(10, steps // 50), 30, most) if horizon is None else horizon
-    if not 2 <= reach <= most:
-        raise record.error(f"{steps} samples for a horizon of {reach}", f"give 2 to {most}, or record more")
+    if not is_number(reach, 2, most, whole=True):
+        raise record.error(f"{steps} samples for a horizon of {shown(reach)}", f"give 2 to {most}, or record more")
     largest = min(MAX_STATES, reach - 1)
-    if not 1 <= (1 if order is None else order) <= largest:
-        raise record.error(f"the order {order}", f"give 1 to {largest}, or a longer horizon")
+    if order is not None and not is_number(order, 1, largest, whole=True):
+        raise record.error(f"the order {shown(order)}", f"give 1 to {largest}, or a longer horizon")
     # Each signal in its own size: the singular values then weigh outputs alike.
     size_u, size_y = u.std(axis=0), y.std(axis=0)
     if still := [name for name, size in zip((*ins, *outs), (*size_u, *size_y), strict=True) if size == 0.0]:
