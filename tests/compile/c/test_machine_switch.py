@@ -7,7 +7,7 @@ import re
 import pytest
 
 from twodof.blocks import Diagram, Port, State
-from twodof.blocks.library import Bias, Convert
+from twodof.blocks.library import Bias, Convert, Logic, UnitDelay, ZeroOrderHold
 from twodof.blocks.reference import Reference
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 from twodof.compile import build
@@ -146,3 +146,24 @@ def test_inputs_of_overwritten_actions_are_not_needed(others: bool) -> None:
     expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
     for _ in range(3):
         assert compiled.step({"u": 5.0}) == expected.step({"u": 5.0})
+
+
+def test_a_slow_machine_reads_what_a_fast_block_reads_too() -> None:
+    """The base tick has computed the held input's value already, and no output of the machine is read."""
+    inner = Diagram("inner")
+    inner.input("on", "bool")
+    inner.add("later", UnitDelay(kind="bool"), u="on")
+    inner.output("on", "later")
+    d = Diagram("slow")
+    d.input("push", "bool")
+    d.add("fast", Logic("not"), a="push")
+    d.add("idle", inner, reset="push", on="fast")
+    d.add("held", ZeroOrderHold("bool"), rate=(2, 1), u="push")
+    d.add("door", Door(), rate=(2, 1), push="held", lock="held")
+    d.output("idle", "idle.on")
+    expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
+    for k in range(6):
+        row = {"push": k == 3}
+        assert compiled.step(row) == expected.step(row)
+    assert compiled.state("door.mode") == expected.state("door.mode") == 0
+    assert compiled.state("door.elapsed") == expected.state("door.elapsed")

@@ -127,7 +127,10 @@ class StepEmitter:
         return [*segment.actions, *([segment.behind] if segment.behind is not None else [])]
 
     def _variable(self, s: FlatSignal) -> None:
-        """Declare a variable that is computed under a condition and read behind it."""
+        """Declare a variable that is computed under a condition and read behind it, unless it is computed already."""
+        if (known := self.renderer.named.get(id(leaf(s)))) is not None:
+            self._variables[s] = known.text
+            return
         name = self._variables[s] = self.renderer.names.new(s.path)
         value = self.scope.constant(0, s.kind)
         self.renderer.out.append(Assign(name, value, C_TYPES[s.kind], owner=s.node))
