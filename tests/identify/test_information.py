@@ -95,6 +95,11 @@ def test_unidentifiable_plans_are_refused() -> None:
         best(pitch_rate(), doublets(), [3.0], 1.0, DT, {"q": 0.06}, PITCH_LIMITS)
     with pytest.raises(IdentificationError, match="equal lengths"):
         predict(pitch_rate(), {"M": U[:1]}, DT, {"q": 0.06})
+    for repeats in (0, 1.5):
+        with pytest.raises(IdentificationError, match="give a whole number, 1 or more"):
+            predict(pitch_rate(), {"M": U}, DT, {"q": 0.06}, estimate=CHOSEN, repeats=repeats)  # type: ignore[arg-type]
+    with pytest.raises(IdentificationError, match="give a time above 0"):
+        predict(pitch_rate(), {"M": U}, 0.0, {"q": 0.06}, estimate=CHOSEN)
 
 
 def test_the_bound_matches_its_closed_form() -> None:

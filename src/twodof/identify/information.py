@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twodof.errors import is_number, shown
 from twodof.excitation import LIMITS, Doublet, Excitation, Multisine, ThreeTwoOneOne
 from twodof.identify.covariance import check_identifiable, covariance
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
@@ -103,6 +104,8 @@ def predict(
     `covariance`: that of an output's samples, which takes the place of its white noise. Raises IdentificationError as
     `fit` does, for unknowns the experiment cannot tell.
     """
+    if not is_number(repeats, 1, whole=True):
+        raise structure.error(f"{shown(repeats)} repeats", "give a whole number, 1 or more")
     record = _blank(structure, inputs, dt, tuple(noise), sampled)
     wanted = structure.estimate if estimate is None else tuple(estimate)
     problem = Problem(structure, [record], wanted, values or {}, prior=prior)
@@ -144,6 +147,8 @@ def _blank(
     sampled: Mapping[str, ArrayLike] | None = None,
 ) -> Record:
     """Return a record with the inputs and no measurements yet (zeros)."""
+    if not is_number(dt) or dt <= 0.0:
+        raise structure.error(f"samples each {shown(dt)} s", "give a time above 0")
     columns = {name: np.asarray(u, dtype=float) for name, u in inputs.items()}
     lengths = {u.size for u in columns.values()}
     if len(lengths) != 1 or min(lengths) < 2:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
+from twodof.identify.problem import number_pair
 from twodof.identify.record import Record
 from twodof.models.structure import Structure, check_structure
 
@@ -133,10 +134,7 @@ def _check(structure: Structure, within: Mapping[str, tuple[float, float]], star
         raise structure.error(f"{shown(starts)} starts", f"give 1 to {MAX_STARTS}")
     for name, ends in within.items():
         lower, upper = structure.unknowns[name].lower, structure.unknowns[name].upper
-        try:
-            low, high = (float(end) for end in ends)
-        except (TypeError, ValueError):
-            low = high = math.nan
+        low, high = number_pair(ends)
         if not (math.isfinite(high - low) and lower <= low < high <= upper):
             raise structure.error(
                 f"the first guess of '{name}' cannot be drawn from {shown(ends)}",

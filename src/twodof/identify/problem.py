@@ -3,11 +3,12 @@
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.covariance import ResidualRows
 from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.record import Record
@@ -54,8 +55,13 @@ class Problem:
         prior: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         self.structure, self.records, self.band = structure, tuple(records), band
-        limits, given = bounds or {}, _checked_prior(prior or {}, structure)
+        limits, given = _checked_bounds(bounds or {}, structure), _checked_prior(prior or {}, structure)
         structure.check_names((*estimate, *(key.partition("[")[0] for key in values), *limits, *separate, *given))
+        if wrong := [key for key, value in values.items() if not is_number(value)]:
+            raise structure.error(f"the value of '{wrong[0]}' is {shown(values[wrong[0]])}", "give a finite number")
+        low, high = (0.0, math.inf) if band is None else number_pair(band)
+        if not low <= high:
+            raise structure.error(f"the band is {shown(band)}", "give (from, to) in Hz")
         if len({record.name for record in self.records}) < max(1, len(self.records)):
             what = "two records have one name" if self.records else "no record is given"
             raise self.structure.error(what, "give at least one, each with a name of its own")
@@ -230,14 +236,28 @@ def _joined(parts: Sequence[Array]) -> Array:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
+def number_pair(given: Any) -> tuple[float, float]:
+    """Return two numbers as they are given, or NaN twice for anything else."""
+    try:
+        first, second = (float(one) for one in given)
+    except (TypeError, ValueError):
+        return math.nan, math.nan
+    return first, second
+
+
+def _checked_bounds(bounds: Mapping[str, Sequence[float]], structure: Structure) -> dict[str, tuple[float, float]]:
+    """Return the bounds as numbers, the lower one first; either may be infinite."""
+    found = {name: number_pair(given) for name, given in bounds.items()}
+    if wrong := [name for name, (low, high) in found.items() if not low <= high]:
+        raise structure.error(f"the bounds of '{wrong[0]}' are {shown(bounds[wrong[0]])}", "give (lower, upper)")
+    return found
+
+
 def _checked_prior(prior: Mapping[str, Sequence[float]], structure: Structure) -> dict[str, tuple[float, float]]:
     """Return the prior as numbers. A standard deviation may be infinite: then nothing is known."""
     found = {}
     for name, given in prior.items():
-        try:
-            mean, deviation = (float(one) for one in given)
-        except (TypeError, ValueError):
-            mean = deviation = math.nan
+        mean, deviation = number_pair(given)
         if not (math.isfinite(mean) and deviation > 0.0):
             raise structure.error(
                 f"the prior of '{name}' is {given!r:.80}", "give (mean, standard deviation), the latter above 0"

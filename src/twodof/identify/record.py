@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, is_number, shown
 from twodof.flightlog.log import FlightLog
 
 Array = NDArray[np.float64]
@@ -147,6 +147,8 @@ class Record:
         """
         if not inputs or not outputs:
             raise IdentificationError("no input or no output named", f"record '{name}'", "name at least one of each")
+        if dt is not None and (not is_number(dt) or dt <= 0.0):
+            raise IdentificationError(f"a step of {shown(dt)} s", f"record '{name}'", "give a time above 0")
         holds = dict(hold) if isinstance(hold, Mapping) else dict.fromkeys(inputs, hold)
         for channel in smooth:
             if channel not in inputs or holds.get(channel, "zoh") != "zoh":
