@@ -12,8 +12,11 @@ from twodof.models.plant import PAPER_PITCH_RATE, Longitudinal, PitchRate, Veloc
 DT = 0.004
 
 
-def test_hold_without_delay_is_that_of_scipy() -> None:
-    plant = Longitudinal().state_space()
+TWO_INPUTS = DelayedStateSpace.of([[0.0, 1.0], [-9.0, -0.5]], [[0.0, 1.0], [3.0, -2.0]], [1.0, 0.0], [[0.0, 0.5]])
+
+
+@pytest.mark.parametrize("plant", [Longitudinal().state_space(), TWO_INPUTS], ids=["longitudinal", "two inputs"])
+def test_hold_without_delay_is_that_of_scipy(plant: DelayedStateSpace) -> None:
     held = plant.zero_order_hold(DT)
     a, b, c, d, _ = cont2discrete((plant.a, plant.b, plant.c, plant.d), DT, method="zoh")
     np.testing.assert_allclose(held.phi, a, rtol=0, atol=1e-14)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear, lfilter
 
 from tests.identify.signals import DT, doublet, pitch_record
 from twodof.blocks import Diagram
@@ -17,7 +18,7 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
-from twodof.models.moment_gain import moment_gain
+from twodof.models.moment_gain import PitchRegressors, moment_gain
 from twodof.models.plant import PitchRate
 from twodof.models.structures import pitch_rate
 
@@ -34,6 +35,39 @@ def run(d: Diagram, record: Record, learn: np.ndarray | bool, **values: float) -
     q = np.interp(np.arange(record.steps), samples.position, samples.value)
     told = np.broadcast_to(np.asarray(learn), record.steps)
     return machine.run(record.steps, {"M": record.inputs["M"], "q": q, "learn": told})
+
+
+def test_the_regressors_are_the_filters_of_scipy() -> None:
+    """F = w^2 s^2 / E^2 of q, and its first and second integral, by the trapezoidal rule exact at the cut-off."""
+    steps, cutoff = 500, 4.0
+    rng = np.random.default_rng(2)
+    moment, q = rng.standard_normal((2, steps))
+    block = PitchRegressors(cutoff=cutoff, tau=1.25 * DT)
+    d = Diagram("regressors")
+    for port in block.inputs:
+        d.input(port.name, unit=port.unit)
+    d.add("made", block, M="M", q="q")
+    for port in block.outputs:
+        d.output(port.name, f"made.{port.name}")
+    found = build(d, dt=DT).machine().run(steps, {"M": moment, "q": q})
+    omega, w = 2.0 * np.pi * cutoff, 2.0 / DT * np.tan(np.pi * cutoff * DT)
+
+    def filtered(signal: np.ndarray, order: int) -> np.ndarray:
+        poles = np.polymul([1.0, 1.4 * w, w**2], [1.0, 1.4 * w, w**2])
+        return lfilter(*bilinear([w ** (4 - order), *[0.0] * order], poles, 1.0 / DT), signal)
+
+    before = moment[0]  # of a held input half a step is added to the delay: 1.75 steps
+    late = 0.25 * np.append(before, moment[:-1]) + 0.75 * np.concatenate([[before] * 2, moment[:-2]])
+    expected = [filtered(late, 1) / omega, -filtered(q, 1) / omega, -filtered(q, 0) / omega**2]
+    np.testing.assert_allclose(found["y"], filtered(q, 2), atol=1e-9)
+    np.testing.assert_allclose(found["phi"], np.transpose(expected), atol=1e-9)
+    assert np.argmax(found["settled"]) == int(10.0 / (omega * DT))
+
+
+def test_nothing_is_learnt_with_a_delay_longer_than_the_ring() -> None:
+    record = pitch_record(MODEL, PRBS, 0.0, np.random.default_rng(0))
+    for tau, learns in ((5.5 * DT, True), (5.6 * DT, False)):
+        assert (run(moment_gain(ring=8), record, True, tau=tau)["mu"][-1] != 300.0) is np.bool_(learns)
 
 
 def test_without_noise_it_finds_all_three_numbers() -> None:

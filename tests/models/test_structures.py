@@ -262,6 +262,9 @@ def test_a_name_that_is_no_parameter_is_refused() -> None:
         Structure(diagram, ("muu",))
     with pytest.raises(IdentificationError, match="there is nothing to estimate"):
         Structure(diagram, ())
+    for scale in (0.0, -1.0, np.inf):
+        with pytest.raises(IdentificationError, match="'mu' is not positive"):
+            _ = Structure(diagram, ("mu",), scale={"mu": scale}).unknowns
 
 
 def test_a_parameter_named_like_an_input_is_refused() -> None:

@@ -52,8 +52,8 @@ def test_set_points_pair_ahead_and_measurements_behind() -> None:
     np.testing.assert_array_equal(paired.value["q"], k)
     # The pitch stamped .3 ms after M is the next step's.
     np.testing.assert_array_equal(paired.value["theta"][1:], k[:-1])
-    assert not paired.lost["theta"][1:].any()
-    assert paired.lost["theta"][0]
+    lost = {name: np.flatnonzero(flags).tolist() for name, flags in paired.lost.items() if flags.any()}
+    assert lost == {"theta": [0], "v": [0]}
     np.testing.assert_array_equal(paired.value["v"][1:], 5.0 * ((np.arange(1, 100) - 1) // 5))
 
 
