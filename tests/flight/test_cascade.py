@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
+from twodof.blocks import Diagram
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
-from twodof.flight.cascade import cascade
+from twodof.flight.cascade import ArmingReset, LevelHold, cascade
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
@@ -127,13 +128,55 @@ def test_in_reset_an_integral_is_its_own_samples_contribution_and_the_derivative
     np.testing.assert_allclose(out["rate.integral"][60:], kept, rtol=0.0, atol=1e-16)
 
 
-def test_an_integral_outside_the_closed_loops_does_not_wind_up() -> None:
+@pytest.mark.parametrize(
+    ("outside", "inside", "loop", "inputs"),
+    [
+        (ATTITUDE, VELOCITY, "velocity", {"theta0": 0.1, "v0": 0.3, "v": 0.1}),
+        (OPEN_LOOP, RATE, "rate", {"q0": 0.3, "q": 0.1}),
+        (OFF, ATTITUDE, "rate", {"theta0": 0.1, "q": 0.1}),
+    ],
+)
+def test_an_integral_outside_the_closed_loops_does_not_wind_up(
+    outside: int, inside: int, loop: str, inputs: dict[str, float]
+) -> None:
     m = machine()
-    held = m.run(500, {"mode": ATTITUDE, "theta0": 0.1, "v0": 0.2, "v": 0.1})
-    out = m.step({"mode": VELOCITY, "v0": 0.3, "v": 0.1})
+    held = m.run(500, {"mode": outside, **inputs})
+    out = m.step({"mode": inside, **inputs})
     # On board, too, the last sample in reset leaves its own contribution behind, and no more.
-    expected = held["velocity.increment"][-1] + out["velocity.increment"]
-    assert out["velocity.integral"] == pytest.approx(expected, rel=1e-15)
+    expected = held[f"{loop}.increment"][-1] + out[f"{loop}.increment"]
+    assert out[f"{loop}.integral"] == pytest.approx(expected, rel=1e-15)
+
+
+def test_the_level_hold_and_the_reset_at_arming_are_their_laws() -> None:
+    """Against both written out: random modes and thrust, each for some samples."""
+    rng, n, settle, window = np.random.default_rng(8), 3600, 5, 30
+    mode = rng.choice([OFF, OPEN_LOOP, RATE, ATTITUDE, ATTITUDE, VELOCITY, POSITION], n // 60).repeat(60)
+    thrust, moment = np.where(rng.random(n // 50) < 0.8, 0.4, 0.0).repeat(50), noise(n, 9)
+    use_trim, in_reset = rng.random((2, n)) < 0.1
+    d = Diagram("alone")
+    for block in (LevelHold(), ArmingReset()):
+        for port in block.inputs:
+            if port.name not in d.inputs:
+                d.input(port.name, port.kind, unit=port.unit)
+        name = type(block).__name__
+        d.add(name, block, inputs={port.name: port.name for port in block.inputs})
+        for port in block.outputs:
+            d.output(f"{name}_{port.name}", f"{name}.{port.name}")
+    m = Reference(d, TS).machine()
+    m.set_many({"LevelHold.settle": settle * TS, "LevelHold.window": window * TS})
+    given = {"mode": mode, "thrust": thrust, "M": moment, "use_trim": use_trim, "in_reset": in_reset}
+    out = m.run(n, {**given, "excitation": 0.01})
+    held = armed = 0
+    trim = 0.0
+    for k in range(n):
+        assert out["LevelHold_M_trim"][k] == pytest.approx(trim, abs=1e-15)
+        assert out["LevelHold_M_open"][k] == pytest.approx(0.01 + use_trim[k] * trim, abs=1e-15)
+        held = held + 1 if mode[k] == ATTITUDE and thrust[k] > 0.0 else 0
+        if held > settle:
+            trim += (moment[k] - trim) / min(held - settle, window)
+        thrusts = mode[k] >= VELOCITY or (mode[k] >= RATE and thrust[k] > 0.0)
+        assert out["ArmingReset_in_reset"][k] == (in_reset[k] or not thrusts or armed < 3)
+        armed = armed + 1 if thrusts else 0
 
 
 def test_the_sum_in_float32_stays_where_the_double_sum_is() -> None:
