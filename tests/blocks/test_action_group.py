@@ -30,8 +30,8 @@ def broken() -> Diagram:
 @pytest.mark.parametrize(
     ("actions", "options", "complaint"),
     [
-        ({}, {}, "name one or more"),
-        ({"otherwise": action("a")}, {"otherwise": action("b")}, 'none of them "otherwise"'),
+        ({}, {}, "give one or more"),
+        ({"otherwise": action("a")}, {"otherwise": action("b")}, "the actions are otherwise"),
         ({"a": action("a"), "b": action("b", "z")}, {}, "b has the outputs z, and a y"),
         (
             {"a": action("a"), "b": action("b", width=3)},
@@ -39,7 +39,7 @@ def broken() -> Diagram:
             r"two actions have an input 'u', of real \[\] and real\[3\]",
         ),
         ({"a": action("a", unit="m"), "b": action("b", unit="s")}, {}, r"real \[m\] and real \[s\]"),
-        ({"a": action("a")}, {"values": {"b": [1]}}, "give values of a"),
+        ({"a": action("a")}, {"values": {"b": [1]}}, "give values for a"),
         ({"a": action("a")}, {"values": {"a": []}}, "number of values"),
         ({"a": action("a")}, {"initial": {"z": 1.0}}, "no output 'z'"),
         ({"choice": action("a")}, {}, "choice"),

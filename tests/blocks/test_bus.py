@@ -55,14 +55,14 @@ def test_a_bus_is_its_fields() -> None:
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a field twice": (lambda: Bus("B", [Port("a"), Port("a")]), "bus B: two fields are named 'a'"),
     "a bus and a field": (lambda: Bus("B", [Port("a", RATES), Port("a.p")]), "two fields are named 'a.p'"),
-    "no fields": (lambda: Bus("B", []), "the fields []"),
-    "names": (lambda: Bus("B", ["a", "b"]), """the field 'a' (write Port("name"))"""),
+    "no fields": (lambda: Bus("B", []), "the fields are []"),
+    "names": (lambda: Bus("B", ["a", "b"]), """the field 'a' is not a Port (write Port("name"))"""),
     "no name": (lambda: Bus("a b", [Port("a")]), "'a b' is not a name"),
     "too many": (lambda: Bus("B", [Port(f"a{i}") for i in range(1001)]), "more than 1000 fields"),
-    "a shape": (lambda: Port("a", RATES, shape=(2, 2)), "a: a bus with a shape or unit (give it to the fields"),
-    "a unit": (lambda: Port("a", RATES, unit="m"), "a bus with a shape or unit"),
+    "a shape": (lambda: Port("a", RATES, shape=(2, 2)), "a: a bus has no shape, unit or enumeration (give"),
+    "a unit": (lambda: Port("a", RATES, unit="m"), "a bus has no shape, unit"),
     "no width": (lambda: Port("a", RATES, 0), "a: width 0 is not in 1..1000000 (use None for one bus)"),
-    "matrices": (lambda: expanded([Port("a", Bus("M", [Port("m", shape=(2, 2))]), 3)]), "buses with the matrix m"),
+    "matrices": (lambda: expanded([Port("a", Bus("M", [Port("m", shape=(2, 2))]), 3)]), "cannot have the matrix m"),
     "other fields": (lambda: expanded([State("s", [{"p": 1}, {"count": 1}], RATES, 2)]), "not have the same fields"),
     "a plain form": (lambda: Port("a", {"name": "B", "fields": [3]}), "is not a bus"),
     "a part of a name": (lambda: Port("a..b"), "'' is not a name"),
@@ -116,7 +116,10 @@ WRONG: dict[str, tuple[Callable[[Any], Any], str]] = {
         lambda u: {"y": {**vars(u.a), "pitch": 1.0}},
         "output gives 'y.pitch', which is not declared (it may give: y.",
     ),
-    "a number": (lambda u: {"y": {**vars(u.a), "rates": 1.0}}, "the bus 'y.rates' is given 1.0 (give a value for each"),
+    "a number": (
+        lambda u: {"y": {**vars(u.a), "rates": 1.0}},
+        "the value of the bus 'y.rates' is 1.0 (give a value for each",
+    ),
     "a field's kind": (
         lambda u: {"y": {**vars(u.a), "rates": RATES(p=u.a.rates.count, count=0)}},
         "'y.rates.p' is given a int32, and is a real",
@@ -214,12 +217,12 @@ def test_an_input_has_one_source_whether_whole_or_by_field() -> None:
     d.input("a", ATTITUDE)
     d.add("one", UnitDelay(kind=ATTITUDE), u="a")
     for destination in ("one.u", "one.u.roll", "one.u.rates"):
-        with pytest.raises(DiagramError, match="is fed twice"):
+        with pytest.raises(DiagramError, match="has two sources"):
             d.connect("a.roll", destination)
     d.add("two", UnitDelay(kind=ATTITUDE))
     d.connect("a.rates", "two.u.rates")
     for destination in ("two.u", "two.u.rates", "two.u.rates.p"):
-        with pytest.raises(DiagramError, match="is fed twice"):
+        with pytest.raises(DiagramError, match="has two sources"):
             d.connect("a", destination)
     with pytest.raises(DiagramError, match=r"two\.u\.roll: the input is not connected"):
         build(d, 0.1)
@@ -263,7 +266,7 @@ def test_a_running_program_takes_mappings_and_paths() -> None:
         assert machine.run(3, {"s": {"roll": [1.0, 2.0, 3.0]}})["s.roll"].shape == (3,)
         for wrong, text in (
             ({"s": {"rol": 1.0}}, "there is no input 's.rol'"),
-            ({"s": {"rates": 1.0}}, "the bus 's.rates' is given 1.0 (give a value for each field: p, count)"),
+            ({"s": {"rates": 1.0}}, "the value of the bus 's.rates' is 1.0 (give a value for each field: p, count)"),
             ({"s": {"mode": 3}}, "s.mode: 3 is not a member of Mode"),
         ):
             with pytest.raises(DiagramError) as refused:

@@ -77,9 +77,9 @@ def test_a_block_without_such_an_input_says_what_is_possible() -> None:
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        ({"enabling": "afresh"}, "enabling='afresh' .use one of keep, restart"),
-        ({"disabled": "zero"}, "disabled='zero' .use one of hold, reset"),
-        ({"trigger": "u", "edge": "up"}, "edge='up' .use one of rising, falling, either"),
+        ({"enabling": "afresh"}, "enabling='afresh' is unknown .use one of keep, restart"),
+        ({"disabled": "zero"}, "disabled='zero' is unknown .use one of hold, reset"),
+        ({"trigger": "u", "edge": "up"}, "edge='up' is unknown .use one of rising, falling, either"),
         ({"edge": "falling"}, "edge='falling' without a trigger"),
     ],
 )

@@ -31,10 +31,10 @@ def test_an_enumeration_of_ours_and_one_of_python_are_the_same() -> None:
 
 
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
-    "no zero": (lambda: Enumeration("E", a=1), "no member is 0 (name what a signal is that nothing has computed yet"),
+    "no zero": (lambda: Enumeration("E", a=1), "no member is 0 (add one, such as none=0, for signals that were not"),
     "auto() begins at 1": (lambda: Port("p", IntEnum("E", ["a", "b"])), "no member is 0"),
     "two of one value": (lambda: Enumeration("E", a=0, b=2, c=2), "b and c are both 2"),
-    "beyond int32": (lambda: Enumeration("E", a=0, b=2**31), "b = 2147483648 (write a whole number"),
+    "beyond int32": (lambda: Enumeration("E", a=0, b=2**31), "b = 2147483648 is not an int32 (write a whole number"),
     "a bool": (lambda: Enumeration("E", a=False), "a = False"),
     "a bad member": (lambda: Enumeration("E", {"a b": 0}), "'a b' is not a name"),
     "a bad name": (lambda: Enumeration("1", a=0), "'1' is not a name"),
@@ -43,9 +43,9 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "an unknown member": (lambda: Light.gren, "Light has no member 'gren' (there are: green, red)"),
     "an unknown default": (lambda: Param("p", "gren", Light), "p: Light has no member 'gren' (there are: green, red)"),
     "a default of no member": (lambda: Param("p", 3, Light), "3 is not a member of Light (there are: 0 green, 1 red)"),
-    "another type": (lambda: Port("p", "bool", enum=Light), "an enumeration of type 'bool'"),
-    "not an enumeration": (lambda: Port("p", enum="Light"), "enum is 'Light'"),
-    "an order of modes": (lambda: Compare("<", Mode), "operation on an enumeration='<' (use one of ==, !=)"),
+    "another type": (lambda: Port("p", "bool", enum=Light), "an enumeration cannot be 'bool'"),
+    "not an enumeration": (lambda: Port("p", enum="Light"), "'Light' is not an enumeration"),
+    "an order of modes": (lambda: Compare("<", Mode), "operation on an enumeration='<' is unknown (use one of ==, !=)"),
     "a gain": (lambda: to_enumeration("int32", 3), "'int32' is not an enumeration"),
 }  # fmt: skip
 
@@ -117,7 +117,7 @@ CLASHES = {
     "two enumerations": (
         Constant("armed", Mode),
         UnitDelay(kind=Light),
-        "it takes Light (0 green, 1 red) and source.y is Mode (0 idle, 1 armed, 5 flying, -2147483648 broken) (declare",
+        "it takes Light (0 green, 1 red) and source.y is Mode (0 idle, 1 armed, 5 flying, -2147483648 broken) (use",
     ),
     "two of one name": (
         Constant("red", Light),
@@ -194,7 +194,7 @@ def test_a_file_keeps_the_names_and_a_wrong_one_is_refused() -> None:
         ({"idle": 1}, "no member is 0"),
         ({f"m{i}": i for i in range(1001)}, "1001 members"),
         ({"idle": 0.0}, "idle = 0.0"),
-        ([0], "the members [0]"),
+        ([0], "the members are [0]"),
     ):
         form = json.loads(to_json(d))
         form["diagram"]["inputs"][0]["enum"]["members"] = members

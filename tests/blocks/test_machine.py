@@ -76,7 +76,7 @@ def test_every_machine_refuses_the_same_with_the_same_words(make: Callable[[], M
         (lambda: machine.step({"v": 1.0}), "there is no input 'v'.*there are: u, pair"),
         (lambda: machine.run(5, {"u": [1.0, 2.0]}), "u: "),
         (lambda: machine.run(2, {"u": ["a", "b"]}), "u: an array of <U1"),
-        (lambda: machine.run(-1), "-1 steps"),
+        (lambda: machine.run(-1), "-1 is not a possible number of steps"),
     ):
         with pytest.raises(DiagramError, match=said):
             wrong()

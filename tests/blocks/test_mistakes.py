@@ -186,7 +186,7 @@ def test_a_function_block_names_the_function_and_its_line() -> None:
 
 DECLARED: dict[str, tuple[dict[str, Any], str]] = {
     "names instead of ports": ({"inputs": ["u"]}, r'inputs holds \'u\'.*write inputs = \[Port\("name"\), ...\]'),
-    "no list": ({"inputs": Port("u")}, "inputs is Port.*and not a list"),
+    "no list": ({"inputs": Port("u")}, "inputs is Port.*, not a list"),
     "a dictionary": ({"params": {"k": 1.0}}, r"params is {'k': 1.0}.*Param\(\"name\"\)"),
     "names instead of states": ({"states": ["s"]}, "states holds 's'.*State"),
 }

@@ -171,7 +171,7 @@ def test_a_number_kept_outside_is_found_when_it_runs() -> None:
     d.input("level")
     block = lamp(modes=(OFF, Mode("on", during={"power": 1.0}, entry=count)))
     d.add("lamp", block, button="button", level="level")
-    with pytest.raises(DiagramError, match="gives another 'times' when it is traced again"):
+    with pytest.raises(DiagramError, match="computes another 'times' when it is traced again"):
         Reference(d, 0.01)
 
 

@@ -152,11 +152,11 @@ def test_a_parameter_has_the_declared_shape() -> None:
     machine = Reference(language_page_filter(), 0.01).machine()
     machine.set("filter.A", [[1.0, 2.0], [3.0, 4.0]])
     assert machine.get("filter.A") == [[1.0, 2.0], [3.0, 4.0]]
-    with pytest.raises(ParameterError, match=r"1x2 given for an array of 2x2.*list of rows"):
+    with pytest.raises(ParameterError, match=r"the value is 1x2, and the array 2x2.*list of rows"):
         machine.set("filter.A", [[1.0, 2.0]])
-    with pytest.raises(DiagramError, match="4 given for an array of 2x2"):
+    with pytest.raises(DiagramError, match="the value is 4, and the array 2x2"):
         Param("k", [1.0, 2.0, 3.0, 4.0], shape=(2, 2))
-    with pytest.raises(DiagramError, match="width 5 and shape 2x2"):
+    with pytest.raises(DiagramError, match="width 5 does not fit the shape 2x2"):
         Port("k", width=5, shape=(2, 2))
     with pytest.raises(DiagramError, match="not one of a matrix"):
         Port("k", shape=(2, 0))

@@ -25,25 +25,28 @@ def action_group(
     enabling: str = "keep",
     initial: Mapping[str, Any] | None = None,
 ) -> Diagram:
-    """Return a diagram in which the first of `actions` acts whose condition is true, else `otherwise`.
+    """Return a diagram in which one of `actions` acts, the first whose condition is true, else `otherwise`.
 
-    Its conditions are bool inputs "if_" + the action's name, in the order of `actions`. With `values` there is one
-    int32 input `case` instead, and an action acts where it has one of its values. The other inputs are those of the
-    actions, by name. Each output is that of the action that acts. Where none acts it stays, from `initial` (0) on.
-    `enabling="restart"` lets an action start afresh when its turn comes.
+    The conditions are bool inputs "if_" + the action's name, in the order of `actions`. With `values` there is one
+    int32 input `case` instead, and an action acts while `case` is one of its values. The other inputs are those of the
+    actions, by name. Each output is that of the acting action; while none acts it keeps its value, at first `initial`
+    (0). With `enabling="restart"` an action starts from its initial states each time that it begins to act.
 
-    Raises DiagramError for actions whose outputs, or whose inputs of one name, differ in name, type or width.
+    Raises DiagramError for actions with different outputs, and for two inputs of the same name and different types.
     """
     d = Diagram(name)
     parts = dict(actions) if otherwise is None else {**actions, "otherwise": otherwise}
     if not actions or (otherwise is not None and "otherwise" in actions):
-        raise DiagramError(f"the actions {listed(actions)}", name, 'name one or more, none of them "otherwise"')
+        raise DiagramError(
+            f"the actions are {listed(actions)}", name, 'give one or more, none of them named "otherwise"'
+        )
     if values is None:
         conditions = {letter: d.input(f"if_{action}", "bool") for letter, action in _lettered(actions)}
         d.add("choice", FirstTrue(len(actions)), inputs=conditions)
     else:
         if list(values) != list(actions):
-            raise DiagramError(f"values of {listed(values)}", name, f"give values of {listed(actions)}, in that order")
+            what = f"there are values for {listed(values)}"
+            raise DiagramError(what, name, f"give values for {listed(actions)}, in that order")
         d.input("case", "int32")
         d.add("choice", CaseChoice([list(values[action]) for action in actions]), u="case")
     acts = {action: f"choice.{letter}" for letter, action in _lettered(actions)} | {"otherwise": "choice.otherwise"}
@@ -104,7 +107,9 @@ def _alike(name: str, output: str, parts: Mapping[str, Diagram]) -> Port:
         text = ", ".join(f"{field} {_type(port)}".strip() for field, port in sorted(fields.items()))
         found[text] = port
     if len(found) > 1:
-        raise DiagramError(f"the actions' outputs {output!r} are {listed(found)}", name, "convert them to one type")
+        raise DiagramError(
+            f"the outputs {output!r} of the actions are {listed(found)}", name, "convert them to the same type"
+        )
     return next(iter(found.values()))
 
 
@@ -116,13 +121,13 @@ def resettable_integrator(
     width: int | None = None,
     unit: str = "",
 ) -> Diagram:
-    """Return a diagram with y' = u, y from `initial`, or with initial="input" from the input `x0`; for the base rate.
+    """Return a diagram with y' = u, which starts at `initial`, or with initial="input" at the input `x0`.
 
-    With `reset` there is a bool input `clear`. It acts at each tick at which it is true ("level"), or at its edges
-    ("rising", "falling" or "either"; the first tick is not one). Then y becomes the initial value before the outputs
-    are computed, and is integrated from there. With "none" the input `clear` is absent. The output y depends on
-    `clear` and `x0` in the same tick: a loop through them needs a delay. Raises DiagramError for another `reset`, or
-    limits that are none.
+    It must run at the base rate. With `reset` there is a bool input `clear`, which resets y at each tick at which it is
+    true ("level"), or at its edges ("rising", "falling" or "either"; the first tick has none). Then y becomes the
+    initial value before the outputs are computed, and is integrated from there. With "none" there is no input `clear`.
+    The output y depends on `clear` and `x0` in the same tick, so a loop through them needs a delay. Raises DiagramError
+    for an unknown `reset` or invalid `limits`.
     """
     d = Diagram(name)
     latch = ResetLatch(reset, initial, width, unit)

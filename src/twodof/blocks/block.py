@@ -1,4 +1,4 @@
-"""Block: named inputs, outputs, states and parameters, and in Python what they become."""
+"""Block: named inputs, outputs, states and parameters, and methods in Python that compute outputs and states."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from twodof.errors import DiagramError, listed
 
 
 class Block:
-    """Subclass this: set `inputs`, `outputs`, `states`, `params`, `derived` (class attributes, or in `__init__`).
+    """Base class of blocks. Set `inputs`, `outputs`, `states`, `params`, `derived` in the class or in `__init__`.
 
     `u`, `x`, `p` are the inputs, states and parameters by attribute, `t` is a `Clock`. Each method returns a mapping
     from names to values; a method with one name to give may return the bare value. See docs/explanation/language.md.
 
-    What a method gives depends on what it is given, and on attributes that `__init__` sets. Once the block is traced
-    they are fixed.
+    The result of a method may depend only on its arguments and on attributes that `__init__` sets. Once the block is
+    traced the attributes are fixed.
     """
 
     inputs: Sequence[Port] = ()
@@ -55,7 +55,7 @@ class Block:
         return {}
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """For outputs that change once inside the step: name -> (fraction of the step in [0, 1), value after it)."""
+        """Return (fraction of the step in [0, 1), value after it), by name, for outputs that change inside the step."""
         return {}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
@@ -67,17 +67,17 @@ class Block:
         return {}
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """Jumps of continuous states after the integration: `x` is integrated, `u` is that of the step's start."""
+        """Return continuous states that jump after the integration, by name; `u` is that at the start of the step."""
         return {}
 
     def __setattr__(self, name: str, value: Any) -> None:
         if "_traced" in self.__dict__:
-            raise fault(f"the attribute {name!r} of a traced block is assigned", HIDDEN)
+            raise fault(f"the attribute {name!r} is assigned after the block was traced", HIDDEN)
         super().__setattr__(name, expanded(value) if name in _DECLARED else value)
 
     @functools.cached_property
     def trace(self) -> Trace:
-        """The expressions of the methods; recorded once. Raises DiagramError if they break the language's rules."""
+        """Expressions of the methods, recorded once. Raises DiagramError if they break the language's rules."""
         self.__dict__["_traced"] = True  # from here on, for a method may set an attribute while it is traced
         try:
             return trace_of(self)
@@ -86,7 +86,7 @@ class Block:
             raise
 
     def written(self, method: str) -> Callable[..., Any]:
-        """Return the Python function that computes `method`, for messages."""
+        """Return the Python function of the method named `method`, whose place an error gives."""
         function: Callable[..., Any] = getattr(type(self), method)
         return function
 
@@ -97,7 +97,7 @@ REGISTRY: dict[str, type[Block]] = {}
 
 
 def library_block(type_name: str) -> Callable[[type[Block]], type[Block]]:
-    """Class decorator: a block of the library, which JSON names by `type_name` and its constructor's arguments."""
+    """Return a class decorator for a library block, which JSON holds as `type_name` and constructor arguments."""
 
     def register(cls: type[Block]) -> type[Block]:
         if type_name in REGISTRY:
@@ -164,10 +164,10 @@ def steady_trace(block: Block, path: str) -> Trace:
 
 
 def check_steady(block: Block) -> None:
-    """Trace a block again. Raises DiagramError if that gives another graph than the first time.
+    """Trace a block again, and raise DiagramError if that gives another graph than the first time.
 
-    What is compiled is the first graph. A method that depends on more than it is given would mean another thing at
-    each step of the reference. Values that another block or a loop recorded are refused too.
+    The first graph is compiled. A method that depends on more than its arguments could compute something else at each
+    step of the reference. Values that another block or a loop recorded are refused too.
     """
     first, again = by_method(block.trace), by_method(trace_of(block))
     prepared, stepped = _own(block)
@@ -176,7 +176,7 @@ def check_steady(block: Block) -> None:
             # By identity: equal graphs are one node, and == on two of them would record a comparison.
             if list(map(id, exprs.get(name, ()))) != list(map(id, again[method].get(name, ()))):
                 raise DiagramError(
-                    f"{method} gives another {name!r} when it is traced again", place(block, method), HIDDEN
+                    f"{method} computes another {name!r} when it is traced again", place(block, method), HIDDEN
                 )
         own = prepared if method == "prepare" else stepped
         _check_own(block, method, [e for roots in exprs.values() for e in roots], own)
@@ -195,7 +195,8 @@ def _check_own(block: Block, method: str, roots: Sequence[Expr], own: Mapping[in
     """Raise DiagramError if `roots` hold a leaf that the method was not given, or a variable outside its loop."""
     for item in walk(roots):
         if item.op in ("input", "state", "param", "tick", "dt") and id(item) not in own:
-            raise DiagramError(f"{method} uses a value that it was not given, {item!r}", place(block, method), HIDDEN)
+            what = f"{method} uses {item!r}, which is not one of its arguments"
+            raise DiagramError(what, place(block, method), HIDDEN)
     with located(place(block, method)):
         if any(free_bounds(roots).values()):
             raise DiagramError(
@@ -207,16 +208,16 @@ EDGES = ("rising", "falling", "either")
 
 
 def edge_of(edge: str, before: Any, now: Any) -> Any:
-    """Return True if a bool that was `before` and is `now` has an edge of this kind, one of EDGES."""
+    """Return True if a bool that was `before` and is `now` has an `edge`, one of EDGES."""
     if edge == "either":
         return now ^ before
     return now & ~before if edge == "rising" else ~now & before
 
 
 class EnabledAgain(Block):
-    """y is true in the sample in which all of the bools e0, e1, ... hold and did not hold in the sample before.
+    """y is true in a sample in which all of the bools e0, e1, ... are true and in the one before were not all true.
 
-    The start is not such a sample: the states are initial then anyway, or what was set.
+    It is false in the first sample, in which the states have their initial values, or values that were set.
     """
 
     crossing = True
@@ -234,7 +235,7 @@ class EnabledAgain(Block):
 
 
 class TriggerEdge(Block):
-    """y is true in the sample in which u has an edge. The first sample does not: what u was before is not known."""
+    """y is true in a sample in which u has an edge. It is false in the first one, as u before is not known."""
 
     crossing = True
 

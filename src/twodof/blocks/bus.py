@@ -11,19 +11,19 @@ from twodof.blocks.namespaces import BusView
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_FIELDS = 1000
-"""Of one bus, those of the buses in it counted, and not these themselves."""
+"""Largest number of fields of a bus, with those of the buses in it."""
 MAX_LEVELS = 8
-"""Of buses within one another."""
+"""Deepest nesting of buses."""
 
 
 class Bus:
     """Named fields that connect as one wire: `Bus("Attitude", [Port("roll", unit="rad"), Port("rates", Rates)])`.
 
-    A field is a Port: a scalar, vector or matrix of any kind with its unit, or another bus. A bus stands where a kind
-    does. Calling it makes a value of it, `Attitude(roll=..., rates=Rates(...))`, that a method returns. `leaves` are
+    A field is a Port: a scalar, vector or matrix of any kind with its unit, or another bus. A bus is used in place of a
+    kind. Calling it makes a value of it, `Attitude(roll=..., rates=Rates(...))`, that a method returns. `leaves` are
     the fields that are not buses themselves, by path ("rates.p"), in the order given.
 
-    Raises DiagramError for fields that are not Ports, whose names stand twice, or that are too many or too deep.
+    Raises DiagramError for fields that are not Ports, have the same name, or are too many or nested too deep.
     """
 
     __slots__ = ("fields", "leaves", "name")
@@ -37,23 +37,24 @@ class Bus:
         if not isinstance(name, str) or not name.isidentifier() or len(name) > 63:
             raise DiagramError(f"{shown(name)} is not a name", "bus", "use a letter, then letters, digits or _")
         if isinstance(fields, (str, Mapping)) or not isinstance(fields, Sequence) or not fields:
-            raise DiagramError(f"the fields {shown(fields)}", where, 'write [Port("roll", unit="rad"), ...]')
+            what = f"the fields are {shown(fields)}, not a list"
+            raise DiagramError(what, where, 'write [Port("roll", unit="rad"), ...]')
         leaves: list[Any] = []
         for one in fields:
             if not isinstance(getattr(one, "name", None), str) or not hasattr(one, "kind"):
-                raise DiagramError(f"the field {shown(one)}", where, 'write Port("name")')
+                raise DiagramError(f"the field {shown(one)} is not a Port", where, 'write Port("name")')
             inside = leaves_of(one)
             if any(leaf.name.count(".") >= MAX_LEVELS for leaf in inside):
-                raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "nest them less")
+                raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "use fewer levels")
             leaves += inside
             if len(leaves) > MAX_FIELDS:
-                raise DiagramError(f"more than {MAX_FIELDS} fields", where, "use arrays")
+                raise DiagramError(f"it has more than {MAX_FIELDS} fields", where, "use arrays")
         check_paths([leaf.name for leaf in leaves], where)
         for key, value in (("name", name), ("fields", tuple(fields)), ("leaves", tuple(leaves))):
             object.__setattr__(self, key, value)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise DiagramError(f"{name!r} is assigned", f"bus {self.name}", "make another bus")
+        raise DiagramError(f"{name!r} is assigned, and a bus cannot change", f"bus {self.name}", "make another bus")
 
     def __reduce__(self) -> Any:
         return Bus, (self.name, self.fields)
@@ -79,7 +80,7 @@ class Bus:
         return {name: values[name] for name in known}
 
     def form(self) -> dict[str, Any]:
-        """Return the bus as plain data, which is accepted in its place."""
+        """Return the bus as plain data, which `as_bus` reads."""
         return {"name": self.name, "fields": [_form(leaf) for leaf in self.leaves]}
 
 
@@ -92,11 +93,12 @@ def _form(leaf: Any) -> dict[str, Any]:
 
 
 def leaves_of(declared: Any) -> list[Any]:
-    """Return the declarations of a bus's fields, named "att.rates.p"; of any other declaration itself.
+    """Return the declarations of the fields of a declared bus, named "att.rates.p"; else the declaration alone.
 
-    The value of a state or parameter is one for all fields, or a mapping by field in which 0 may be left out. A state
-    that starts from a parameter starts from its fields. Of an array of buses each field is an array of the `width`, or
-    a matrix whose rows are the vectors. Its value may be a list of mappings.
+    The value of a state or parameter is the same for all fields, or a mapping by field, in which 0 may be left out. If
+    a state starts from a parameter that is a bus, each field starts from that parameter's field. In an array of `width`
+    buses each scalar field is an array, and each vector a matrix with a row per bus. Its value may be a list of
+    mappings.
     """
     if not isinstance(declared.kind, Bus):
         return [declared]
@@ -115,7 +117,8 @@ def leaves_of(declared: Any) -> list[Any]:
     for leaf in bus.leaves:
         changes = {"name": f"{declared.name}.{leaf.name}", "kind": leaf.kind, "enum": leaf.enum, "unit": leaf.unit}
         if count is not None and leaf.shape:
-            raise DiagramError(f"an array of buses with the matrix {leaf.name}", declared.name, "make it a vector")
+            what = f"an array of buses cannot have the matrix {leaf.name}"
+            raise DiagramError(what, declared.name, "make the field a vector")
         rows = None if leaf.width is None or count is None else (count, leaf.width)
         width = count if count is not None else leaf.width
         changes |= {"width": None if leaf.shape or rows else width, "shape": leaf.shape or rows}
@@ -129,7 +132,7 @@ def leaves_of(declared: Any) -> list[Any]:
 
 
 def transposed(values: Any) -> Any:
-    """Return a list of buses as the fields of an array of buses, each a list; any other value unchanged.
+    """Return a list of buses as a mapping from each field to the list of its values; any other value unchanged.
 
     Raises DiagramError for buses that do not have the same fields.
     """
@@ -139,19 +142,19 @@ def transposed(values: Any) -> Any:
     if not any(isinstance(bus, Mapping) for bus in buses):
         return values
     if any(not isinstance(bus, Mapping) or bus.keys() != buses[0].keys() for bus in buses):
-        raise DiagramError("the buses of an array do not have the same fields", "", "give each all its fields")
+        raise DiagramError("the buses of an array do not have the same fields", "", "give each bus all its fields")
     return {name: transposed([bus[name] for bus in buses]) for name in buses[0]}
 
 
 def expanded(declared: Any) -> Any:
-    """Return declarations with the fields of buses in their place."""
+    """Return declarations with each bus replaced by its fields."""
     if not isinstance(declared, Sequence) or not any(isinstance(getattr(d, "kind", None), Bus) for d in declared):
         return declared
     return [leaf for d in declared for leaf in (leaves_of(d) if hasattr(d, "kind") else [d])]
 
 
 def grouped(ports: Iterable[Any]) -> list[Any]:
-    """Return ports with the fields of each bus put together, in the place of its first field: undo `expanded`."""
+    """Return ports with the fields of each bus replaced by the bus, at the place of the first: undo `expanded`."""
     found: dict[str, Any] = {}
     inside: dict[str, list[Any]] = {}
     for port in ports:
@@ -165,7 +168,7 @@ def grouped(ports: Iterable[Any]) -> list[Any]:
 
 
 def check_paths(names: Iterable[str], where: str) -> None:
-    """Raise DiagramError if a name stands twice, or is that of a bus and of a field at once."""
+    """Raise DiagramError if two names are equal, or one is that of a bus and of a field at once."""
     leaves: set[str] = set()
     buses: set[str] = set()
     for name in names:
@@ -178,9 +181,9 @@ def check_paths(names: Iterable[str], where: str) -> None:
 
 
 def fields_given(values: Mapping[Any, Any], known: Sequence[str], where: str) -> dict[str, Any]:
-    """Return the values of a mapping, perhaps of mappings, by path. A value of no known path stays as it is.
+    """Return the values of nested mappings by path. `known` are the fields' paths; other keys are kept as they are.
 
-    Raises DiagramError for a bus that is given something else than its fields.
+    Raises DiagramError for a bus whose value is not a mapping of its fields.
     """
     buses = {name[:i] for name in known for i, c in enumerate(name) if c == "."}
     found: dict[str, Any] = {}
@@ -196,7 +199,7 @@ def fields_given(values: Mapping[Any, Any], known: Sequence[str], where: str) ->
             if not isinstance(inner, Mapping):
                 fields = nearest("", [n.removeprefix(f"{name}.") for n in known if n.startswith(f"{name}.")])
                 raise DiagramError(
-                    f"the bus {name!r} is given {shown(value)}", where, f"give a value for each field: {fields}"
+                    f"the value of the bus {name!r} is {shown(value)}", where, f"give a value for each field: {fields}"
                 )
             stack.append((f"{name}.", inner))
     return found

@@ -23,7 +23,7 @@ MAX_PATH = 64 * (MAX_LEVELS + 1)
 
 
 def check_name(name: object, where: str) -> str:
-    """`name` if it is a legal name (a letter, then letters, digits and _, 63 at most); else DiagramError."""
+    """Return `name` if it is legal (a letter, then letters, digits and _, at most 63); else raise DiagramError."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise DiagramError(
             f"{shown(name)} is not a name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
@@ -32,28 +32,30 @@ def check_name(name: object, where: str) -> str:
 
 
 def check_path(name: object, where: str) -> str:
-    """`name` if it is a legal name, or the path "att.rates.p" of a field of a bus; else DiagramError."""
+    """Return `name` if it is a legal name, or the path "att.rates.p" of a bus's field; else raise DiagramError."""
     parts = name.split(".") if isinstance(name, str) and len(name) < MAX_PATH else [name]
     for part in parts:
         check_name(part, where)
     if len(parts) > MAX_LEVELS + 1:
-        raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "nest them less")
+        raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "use fewer levels")
     return ".".join(map(str, parts))
 
 
 def check_steps(steps: object, where: str) -> int:
-    """Return `steps` if one call may run that many, 0 to MAX_STEPS; else raise DiagramError."""
+    """Return `steps` if it is a number of steps that one call may run, 0 to MAX_STEPS; else raise DiagramError."""
     number = plain_data(steps, where)
     if type(number) is not int or not 0 <= number <= MAX_STEPS:
-        raise DiagramError(f"{steps!r:.40} steps", where, f"run 0 to {MAX_STEPS} steps in one call")
+        raise DiagramError(
+            f"{steps!r:.40} is not a possible number of steps", where, f"run 0 to {MAX_STEPS} steps in one call"
+        )
     return number
 
 
 def check_tick(dt: object, where: str) -> float:
-    """`dt` [s] if it can be a base tick, finite and above 0; else DiagramError."""
+    """Return `dt` [s] if it can be a base tick, finite and above 0; else raise DiagramError."""
     tick = plain_data(dt, where)
     if type(tick) not in (int, float) or not 0 < tick < math.inf:
-        raise DiagramError(f"dt = {shown(dt)}", where, "give the base tick in seconds, > 0")
+        raise DiagramError(f"dt = {shown(dt)} is not a base tick", where, "give seconds, > 0")
     return float(tick)
 
 
@@ -68,7 +70,8 @@ def _is_bus(declared: "Port | State | Param") -> bool:
         return False
     check_name(declared.name, "block")
     if (declared.shape, declared.unit, declared.enum) != (None, "", None):
-        raise DiagramError("a bus with a shape or unit", declared.name, "give it to the fields; an array has a width")
+        what = "a bus has no shape, unit or enumeration"
+        raise DiagramError(what, declared.name, "give them to its fields; an array of buses has a width")
     _check_width(declared, "one bus")
     return True
 
@@ -115,10 +118,12 @@ def _keep_enumeration(declared: "Port | State | Param") -> None:
     enumeration = enumeration_of(given, where)
     if enumeration is None:
         if declared.enum is not None:
-            raise DiagramError(f"enum is {shown(declared.enum)}", where, "give an enumeration, or leave it out")
+            what = f"{shown(declared.enum)} is not an enumeration"
+            raise DiagramError(what, where, "give an enumeration, or leave `enum` out")
         return
     if declared.enum is not None and declared.kind not in ("real", "int32"):
-        raise DiagramError(f"an enumeration of type {shown(declared.kind)}", where, "leave the type out: it is int32")
+        what = f"an enumeration cannot be {shown(declared.kind)}"
+        raise DiagramError(what, where, "leave the type out: it is int32")
     object.__setattr__(declared, "kind", "int32")
     object.__setattr__(declared, "enum", enumeration)
     if isinstance(declared, Param):
@@ -128,7 +133,7 @@ def _keep_enumeration(declared: "Port | State | Param") -> None:
 
 
 def check_shape(given: object, where: str) -> tuple[int, int]:
-    """`given` as (rows, columns) of a matrix; else DiagramError."""
+    """Return `given` as the (rows, columns) of a matrix; raise DiagramError if it is none."""
     size = plain_data(given, where)
     if not isinstance(size, list) or len(size) != 2 or any(type(n) is not int or n < 1 for n in size):
         raise DiagramError(f"the shape {shown(given)} is not one of a matrix", where, "write (rows, columns)")
@@ -142,7 +147,9 @@ def _check_shape(declared: "Port | State | Param") -> None:
         rows, columns = check_shape(declared.shape, name)
         if declared.width not in (None, rows * columns):
             raise DiagramError(
-                f"width {shown(declared.width)} and shape {rows}x{columns}", name, "leave the width of a matrix out"
+                f"the width {shown(declared.width)} does not fit the shape {rows}x{columns}",
+                name,
+                "leave the width of a matrix out",
             )
         object.__setattr__(declared, "shape", (rows, columns))
         object.__setattr__(declared, "width", rows * columns)
@@ -155,7 +162,7 @@ def _check_shape(declared: "Port | State | Param") -> None:
 
 @contextmanager
 def located(where: str, keep: bool = False) -> Iterator[None]:
-    """Give a DiagramError that the enclosed code raises the place `where`; with `keep` before its own."""
+    """Give a DiagramError from the `with` block the place `where`; with `keep` before its own place."""
     try:
         yield
     except TwodofError as error:
@@ -167,8 +174,8 @@ class Port:
     """An input, output or derived parameter: scalar if `width` is None, else an array. `unit` "" is not compared.
 
     With `shape`, (rows, columns), it is a matrix; its `width` is then the number of elements. A `kind` that is an
-    enumeration becomes int32, and `enum` is the enumeration. One that is a Bus stands for ports named "att.rates.p".
-    With a `width` it is an array of buses: each of these ports is then an array, of vectors the rows of a matrix.
+    enumeration becomes int32, and `enum` is the enumeration. A `kind` that is a Bus stands for ports named
+    "att.rates.p". With a `width` it is an array of buses: a scalar field is then an array, a vector a matrix of rows.
     """
 
     name: str
@@ -202,7 +209,7 @@ class State:
         if not _settle(self, "initial", "width", "continuous"):
             return
         if self.continuous and self.kind != "real":
-            raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
+            raise DiagramError(f"a continuous state cannot be {self.kind}", self.name, "make it real, or discrete")
         if not isinstance(self.initial, str):
             _declared(self.initial, self)
 
@@ -211,10 +218,10 @@ class State:
 class Param:
     """A parameter: default `value`, bounds `low` and `high` (inclusive), unit, text.
 
-    The value is a sequence if `width` is given, and a sequence of rows if `shape` is.
+    The value is a sequence if `width` is given, and a sequence of rows if `shape` is. A parameter that is not `tunable`
+    is fixed once the diagram runs (it may still be set before).
 
-    Raises DiagramError for a default that is not of its kind or not within the bounds, and for bounds that are none. A
-    parameter that is not `tunable` is fixed once the diagram runs (it may still be set before).
+    Raises DiagramError for a default that is not of its kind or not within the bounds, and for invalid bounds.
     """
 
     name: str
@@ -237,7 +244,8 @@ class Param:
         free = self.kind == "bool" or (self.low == -math.inf and self.high == math.inf)
         for value in () if free else given:
             if not self.low <= value <= self.high:
-                raise DiagramError(f"the default {value} is outside [{self.low}, {self.high}]", self.name, "change one")
+                what = f"the default {value} is outside [{self.low}, {self.high}]"
+                raise DiagramError(what, self.name, "change the default or the bounds")
 
 
 class Typed(Protocol):
@@ -261,7 +269,7 @@ class WithUnit(Typed, Protocol):
 
 
 class Declared(Protocol):
-    """A block as far as tracing it needs one: what it declares, and where its methods are written."""
+    """Part of a block that tracing needs: its declarations, and the place of its methods."""
 
     inputs: Sequence[Port]
     outputs: Sequence[Port]
@@ -270,31 +278,33 @@ class Declared(Protocol):
     derived: Sequence[Port]
 
     def written(self, method: str) -> Callable[..., Any]:
-        """Return the Python function that computes `method`, for messages."""
+        """Return the Python function of the method named `method`, whose place an error gives."""
 
 
 _WRITTEN_AS = {"inputs": "Port", "outputs": "Port", "derived": "Port", "states": "State", "params": "Param"}
 
 
 def check_lists(block: Declared, where: str) -> None:
-    """Raise DiagramError if what a block declares does not come as lists of declarations."""
+    """Raise DiagramError if the inputs, outputs, states or parameters of a block are not lists of declarations."""
     for what, example in _WRITTEN_AS.items():
         given = getattr(block, what)
         remedy = f'write {what} = [{example}("name"), ...]'
         if isinstance(given, str) or not isinstance(given, Sequence):
-            raise DiagramError(f"{what} is {shown(given)} and not a list", where, remedy)
+            raise DiagramError(f"{what} is {shown(given)}, not a list", where, remedy)
         for one in given:
             if not isinstance(getattr(one, "name", None), str):
-                raise DiagramError(f"{what} holds {shown(one)}", where, remedy)
+                raise DiagramError(f"{what} holds {shown(one)}, which is no declaration", where, remedy)
             if isinstance(getattr(one, "kind", None), Bus):
-                how = "derived parameters are none" if what == "derived" else f"set {what} to a new list with it"
-                raise DiagramError(f"{what} got the bus {one.name!r} later", where, how)
+                if what == "derived":
+                    raise DiagramError(f"{what} holds the bus {one.name!r}", where, "declare its fields one by one")
+                how = f"set {what} to a new list with it"
+                raise DiagramError(f"the bus {one.name!r} was added to the list {what}", where, how)
 
 
 def shape(declared: Typed) -> str:
     """Return the type of a declaration or expression, with the size of an array: "real", "int32[3]", "real[3x2]".
 
-    Of an enumeration it is that one's name.
+    The type of an enumeration is its name.
     """
     enumeration = getattr(declared, "enum", None)
     kind: str = declared.kind if enumeration is None else enumeration.name
@@ -304,17 +314,17 @@ def shape(declared: Typed) -> str:
 
 
 def alike(one: Typed, other: Typed) -> bool:
-    """Return True if both have one type and size."""
+    """Return True if both have the same type and size."""
     return shape(one) == shape(other) and getattr(one, "enum", None) == getattr(other, "enum", None)
 
 
 def units_clash(one: WithUnit, other: WithUnit) -> bool:
-    """Return True if both have a unit, and not the same."""
+    """Return True if both have a unit and the units differ."""
     return bool(one.unit and other.unit and one.unit != other.unit)
 
 
 def mismatch(port: WithUnit, given: WithUnit, source: object) -> tuple[str, str] | None:
-    """Return the mismatch between the signal `given`, of `source`, and `port` with its remedy, or None if it fits.
+    """Return the mismatch between `port` and the signal `given`, of `source`, with a remedy, or None if it fits.
 
     A signal of an enumeration may feed an int32.
     """
@@ -326,7 +336,7 @@ def mismatch(port: WithUnit, given: WithUnit, source: object) -> tuple[str, str]
             return f"it takes [{port.unit}] and {source} is in [{given.unit}]", "convert the unit"
         return None
     if wanted is not None and found is not None and wanted != found:
-        return f"it takes {wanted} and {source} is {found}", "declare both of one enumeration, or convert the signal"
+        return f"it takes {wanted} and {source} is {found}", "use the same enumeration for both, or convert the signal"
     if wanted is not None and given.kind == "int32" and given.width == port.width:
         remedy = f'put Convert("int32", {wanted.name}) between them'
         return f"it takes {shape(port)} and {source} is {shape(given)}", remedy
@@ -371,9 +381,9 @@ def _plain(value: Any) -> list[Any]:
 
 
 def check_initial(value: Any, output: Typed, where: str) -> Any:
-    """`value` if an output of this type may hold it at first; else DiagramError. It is as strict as a default is.
+    """Return `value` if it may be the initial value of `output`, with the name of a member as its number.
 
-    A member of an enumeration that was named is its number then.
+    Raises DiagramError, as for a default value, if it may not.
     """
     matrix = output.shape if output.shape and len(output.shape) == 2 else None
     with located(where):
@@ -389,7 +399,7 @@ def _check_limits(declared: Param) -> None:
                 f"the bound {shown(bound)} is not a number", declared.name, "leave it out, or give a number"
             )
         if declared.kind in INTEGERS and math.isfinite(bound) and bound != int(bound):
-            raise DiagramError(f"the bound {bound} of whole numbers is not whole", declared.name, "round it")
+            raise DiagramError(f"the bound {bound} of an integer is not whole", declared.name, "round it")
     if declared.low > declared.high:
         raise DiagramError(
             f"no value is within [{declared.low}, {declared.high}]", declared.name, "exchange the bounds"
@@ -397,17 +407,20 @@ def _check_limits(declared: Param) -> None:
 
 
 def narrowed(outer: Param, at: str, inner: Param, path: str) -> Param:
-    """Return `outer`, the parameter `at`, within the bounds of `inner` too, the one at `path` that is bound to it.
+    """Return `outer`, the parameter `at`, with its bounds narrowed to those of `inner`, at `path` and bound to it.
 
-    Raises DiagramError if they differ in type or unit, or if the default of `outer` lies outside.
+    Raises DiagramError if they differ in type or unit, or if the default of `outer` is outside the bounds.
     """
     if not alike(outer, inner) or units_clash(outer, inner):
-        raise DiagramError(f"it is bound to {at!r}, which has another type, width or unit", path, "declare both alike")
+        what = f"it is bound to {at!r}, which has another type, width or unit"
+        raise DiagramError(what, path, "declare both with the same")
     low, high = max(outer.low, inner.low), min(outer.high, inner.high)
     for value in np.ravel(np.asarray(outer.value)):
         if outer.kind != "bool" and not low <= value <= high:
             raise DiagramError(
-                f"it is bound to {outer.name!r}, whose default {value} is outside [{low}, {high}]", path, "change it"
+                f"it is bound to {outer.name!r}, whose default {value} is outside [{low}, {high}]",
+                path,
+                "change the default, or the bounds of one of them",
             )
     return replace(outer, low=low, high=high)
 
@@ -415,7 +428,7 @@ def narrowed(outer: Param, at: str, inner: Param, path: str) -> Param:
 def column_major(value: Any, shape: tuple[int, int], where: str) -> Any:
     """Return a matrix's elements, column after column; return a number or flat values unchanged.
 
-    Raises DiagramError for rows that are not of the `shape`.
+    Raises DiagramError for rows of another shape than `shape`.
     """
     if isinstance(value, Matrix):
         given, flat = value.shape, value.flat
@@ -429,7 +442,7 @@ def column_major(value: Any, shape: tuple[int, int], where: str) -> Any:
         return value
     if given != shape:
         raise DiagramError(
-            f"{shape_text(given)} given for an array of {shape_text(shape)}", where, "give a list of rows"
+            f"the value is {shape_text(given)}, and the array {shape_text(shape)}", where, "give a list of rows"
         )
     return flat
 
@@ -440,9 +453,10 @@ def rows_of(flat: Any, shape: tuple[int, int] | None) -> Any:
 
 
 def numeric(value: Any, kind: str, width: int | None, where: str, shape: tuple[int, int] | None = None) -> Any:
-    """`value` as a number of the current precision (or a Vector of `width` of them; one number fills an array).
+    """Return `value` as a number of the current precision, or as a Vector of `width` numbers.
 
-    With `shape` it is a matrix's: rows, or a Matrix. Raises DiagramError if it is of another type or length.
+    One number fills an array. With `shape` the value is that of a matrix: a list of rows, or a Matrix. Raises
+    DiagramError for another type or length.
     """
     if isinstance(value, np.ndarray):
         value = value.tolist()
@@ -472,9 +486,9 @@ def limits(declared: Param) -> tuple[float, float]:
 
 
 def check_value(declared: Param, value: Any, path: str) -> Any:
-    """`value` as plain numbers, if a parameter may have it; else ParameterError.
+    """Return `value` as plain numbers if the parameter may have it; else raise ParameterError.
 
-    The bounds and the type's range hold for the numbers as they were given, before they are rounded.
+    The bounds and the type's range are checked on the given numbers, before they are rounded.
     """
     try:
         value = plain_data(value, path)
@@ -492,12 +506,12 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
 
 
 def unknown_parameter(path: object, known: Iterable[str]) -> ParameterError:
-    """Return the error for an unknown parameter `path`; it lists up to 40 `known` ones, the nearest first."""
+    """Return the error for an unknown parameter `path`, with up to 40 of the `known` ones, the most similar first."""
     return ParameterError(
         f"there is no parameter {path!r:.120}", "", f"there are: {nearest(path, sorted(known), most=40)}"
     )
 
 
 def unknown_name(what: str, name: object, known: Iterable[str], where: str) -> DiagramError:
-    """Return the error for an unknown signal, state, input, part or port (`what`); the nearest come first."""
+    """Return the error for an unknown `name` of a signal, state or part (`what`), with similar `known` names."""
     return DiagramError(f"there is no {what} {name!r:.120}", where, f"there are: {nearest(name, known)}")

@@ -17,7 +17,7 @@ MAX_NESTED = 2**256  # the product of the dividers of a part and of the diagrams
 
 
 class Rate(NamedTuple):
-    """When a part runs: at ticks with tick % divider == offset. Inside a part, rates count that part's own ticks."""
+    """Rate of a part, which runs at ticks with tick % divider == offset. Rates inside a part count its own ticks."""
 
     divider: int = 1
     offset: int = 0
@@ -37,28 +37,27 @@ class Rate(NamedTuple):
             raise DiagramError(
                 f"rate {shown(tuple(self))} is impossible",
                 path,
-                f"divider >= 1 and at most {MAX_DIVIDER} (2^256 with those of all enclosing diagrams), "
-                "0 <= offset < divider",
+                f"use a divider from 1 to {MAX_DIVIDER} (2^256 with those of all enclosing diagrams) and an offset "
+                "with 0 <= offset < divider",
             )
         return self
 
 
 BASE = Rate(1, 0)
 CONDITIONS = ("enable", "reset", "trigger")
-"""The arguments of `Diagram.add` that are sources of bools which decide over a sub-diagram."""
+"""Arguments of `Diagram.add` that name bool sources which enable, reset or trigger a sub-diagram."""
 
 
 @dataclass
 class Part:
-    """A block or sub-diagram under a name. `enable`, `reset` and `trigger` are sources of bools in the same diagram.
+    """A block or sub-diagram in a diagram. `enable`, `reset` and `trigger` name bool sources in the same diagram.
 
-    `params` binds parameters of the part to parameters of the diagram: inner name -> outer name.
-    `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0); or they are reset to these
-    values, {output: value}. `enabling` is what the states do once it and all around it are enabled again: "keep" their
-    values, or "restart" from the initial ones. `initial` are the values of outputs before they are first computed, and
-    where "reset" puts them, if that is not 0.
-    With a `trigger` it acts at the ticks alone at which that has an `edge`: "rising", "falling" or "either".
-    `position` is its place on the editor's sheet; there a `flipped` one has its inputs on the right side.
+    `params` has the diagram's parameter to which each parameter of the part is bound. While a sub-diagram is disabled
+    its outputs "hold" their values, are "reset" to 0, or to the values {output: value} in `disabled`. When it and all
+    diagrams around it are enabled again, its states "keep" their values, or "restart" from the initial ones, as
+    `enabling` tells. `initial` are the outputs' values before they are first computed, to which "reset" sets them too.
+    With a `trigger` it acts only at the ticks at which that has an `edge`: "rising", "falling" or "either".
+    `position` is its place on the editor's sheet, where a `flipped` part has its inputs on the right side.
     """
 
     name: str
@@ -81,8 +80,9 @@ class Diagram:
 
     A source is written "part.port" (or "part" if it has one output), or it is the name of a diagram input. A
     destination is "part.port" (or "part" if it has one input), or the name of a diagram output. Either may be a bus,
-    which is one connection, or a field of one, "part.port.field". What takes a bus takes the fields that it names.
-    `input_positions` and `output_positions` are places on the editor's sheet, by name, of those that were moved.
+    which is one connection, or a field of one, "part.port.field". An input that is a bus takes the fields that it names
+    from the source. `input_positions` and `output_positions` are the places on the editor's sheet of inputs and outputs
+    that were moved, by name.
     """
 
     def __init__(self, name: str, text: str = "") -> None:
@@ -105,11 +105,11 @@ class Diagram:
         unit: str = "",
         shape: tuple[int, int] | None = None,
     ) -> str:
-        """Declare an input; returns its name, which is a source."""
+        """Declare an input, and return its name, which is a source."""
         return self.declare(Port(name, kind, width, unit, shape))
 
     def declare(self, port: Port) -> str:
-        """Declare the input `port`; returns its name, which is a source. A bus is kept as its fields, "att.rates.p"."""
+        """Declare the input `port`, and return its name, which is a source. A bus becomes its fields, "att.rates.p"."""
         for leaf in leaves_of(port):
             above = bus_paths(leaf.name)
             self._new(leaf.name, above)
@@ -120,7 +120,7 @@ class Diagram:
     def output(self, name: str, source: str | None = None) -> None:
         """Declare an output, fed by `source` (or connected later). Its type, width and unit are its source's."""
         if name in self.outputs:
-            raise DiagramError(f"two outputs are named {name!r}", self.name, "names are unique")
+            raise DiagramError(f"two outputs are named {name!r}", self.name, "rename one")
         check_name(name, self.name)
         self.outputs[name] = source
 
@@ -163,11 +163,11 @@ class Diagram:
         inputs: Mapping[str, str] | None = None,
         **ports: str,
     ) -> str:
-        """Add a part and connect its inputs by keyword (`u="source"`); returns its name.
+        """Add a part, connect its inputs by keyword (`u="source"`), and return its name. See `Part` for the arguments.
 
-        `inputs` connects too: {"reset": "source"} is an input that has the name of one of these arguments.
-        Raises DiagramError for an item that is not a block or diagram, and for a name that is taken or illegal. It also
-        does so for a rate that is not two whole numbers, divider >= 1 and offset in [0, divider).
+        `inputs` connects inputs too, also those with the name of an argument: {"reset": "source"}. Raises DiagramError
+        for an item that is not a block or diagram, a name that is taken or illegal, and a rate that is not two whole
+        numbers, divider >= 1 and offset in [0, divider).
         """
         self._new(name)
         path = f"{self.name}.{name}"
@@ -179,7 +179,9 @@ class Diagram:
         for argument, value in (("rate", rate), ("params", params), ("initial", initial), ("position", position)):
             if isinstance(value, str):
                 raise DiagramError(
-                    f"{argument}={shown(value)} is no {argument}", path, _as_input(item, argument, value) or "see add"
+                    f"{argument}={shown(value)} is not a {argument}",
+                    path,
+                    _as_input(item, argument, value) or "see Diagram.add",
                 )
         held = _of_outputs(item, initial or {}, path, "start")
         if isinstance(disabled, Mapping):
@@ -191,7 +193,8 @@ class Diagram:
                     f"there is no parameter {shown(inner)} to bind", path, f"there are: {nearest(inner, sorted(known))}"
                 )
             if not isinstance(outer, str):
-                raise DiagramError(f"{inner!r} is bound to {shown(outer)}", path, "name a parameter of the diagram")
+                what = f"{inner!r} is bound to {shown(outer)}, which is not a name"
+                raise DiagramError(what, path, "name a parameter of the diagram")
         divider, offset = _pair(rate, path, "rate")
         checked = Rate(divider, offset).check(path)
         place = None if position is None else _pair(position, path, "position")
@@ -210,13 +213,14 @@ class Diagram:
             if destination in self.outputs:
                 if self.outputs[destination] is not None:
                     raise DiagramError(
-                        f"output {shown(destination)} is fed twice", self.name, "an input has one source"
+                        f"output {shown(destination)} has two sources", self.name, "remove one of the connections"
                     )
                 self.outputs[destination] = source
                 continue
             part, port = self._end(destination, "input")
             if self._fed(part, port):
-                raise DiagramError(f"input {shown(destination)} is fed twice", self.name, "an input has one source")
+                what = f"input {shown(destination)} has two sources"
+                raise DiagramError(what, self.name, "remove one of the connections")
             self.connections[part, port] = source
 
     def _fed(self, part: str, port: str) -> bool:
@@ -227,9 +231,9 @@ class Diagram:
         return any((part, path) in self.connections for name in fields for path in (name, *bus_paths(name)))
 
     def source(self, text: str) -> tuple[str | None, str]:
-        """(part, port) that a source names, or (None, name) of an input. The port may be a bus, or a field of one.
+        """Return the (part, port) named by the source `text`, or (None, name) for an input of the diagram.
 
-        Raises DiagramError if there is none.
+        The port may be a bus, or a field of one. Raises DiagramError if there is none.
         """
         if text in self.inputs or text in self._buses:
             return None, text
@@ -241,7 +245,7 @@ class Diagram:
         return self._end(text, "output")
 
     def wire(self, part: str, port: str) -> tuple[str | None, str]:
-        """Return the source of an input and "", or that of the bus around it and the input's path in it, ".rates.p".
+        """Return an input's source and "", or the source of the bus around it and the path in it (".rates.p").
 
         The source is None if nothing is connected.
         """
@@ -252,18 +256,18 @@ class Diagram:
         return None, ""
 
     def feed(self, part: str, port: str) -> str | None:
-        """Return the source of an input: its own, or the field of the bus around it; None without one."""
+        """Return the source of a part's input, which may be a field of the bus around it; None without one."""
         source, field = self.wire(part, port)
         return None if source is None else self.field(source, field)
 
     def outlet(self, output: str) -> str | None:
-        """Return the source of an output, or of the field "att.rates.p" of one; None without one."""
+        """Return the source of a diagram's output, or of a field "att.rates.p" of one; None without one."""
         name, dot, field = output.partition(".")
         source = self.outputs[name]
         return None if source is None else self.field(source, dot + field)
 
     def gives(self, path: str) -> bool:
-        """Return True if `path` is an output, or a field of one."""
+        """Return True if `path` is an output of the diagram, or a field of one."""
         if path in self.outputs or path.partition(".")[0] not in self.outputs:
             return path in self.outputs
         try:
@@ -312,7 +316,7 @@ class Diagram:
             raise DiagramError(
                 f"the name {name!r} is used twice",
                 self.name,
-                "parts, inputs and parameters share one space of names",
+                "give each part, input and parameter another name",
             )
 
 
@@ -329,37 +333,38 @@ def _no_bus(signal: str, field: str, where: str) -> DiagramError:
 
 
 def no_parameter(outer: str, diagram: Diagram, path: str) -> DiagramError:
-    """Return the error for a part that binds to a parameter which its diagram does not have."""
+    """Return the error for a part bound to a parameter that its diagram does not have."""
     there = f"declare it with Diagram.param; there are: {nearest(outer, diagram.params)}"
     return DiagramError(f"there is no parameter {outer!r} to bind to", path, there)
 
 
 def not_connected(end: str, path: str) -> DiagramError:
-    """Return the error for an "input" or "output" (`end`) of a diagram without a source."""
+    """Return the error for an "input" or "output" (`end`) at `path` without a source."""
     return DiagramError(f"the {end} is not connected", path, "connect it or remove it")
 
 
 def check_condition(signal: Typed, source: str, what: str, path: str) -> None:
     """Raise DiagramError if the `source` of a sub-diagram's condition, such as `what` "enable", is not a bool."""
     if signal.kind != "bool" or signal.width is not None:
-        raise DiagramError(f"its {what} signal {source!r} is not a bool", path, "compare the signal with something")
+        what = f"its {what} signal {source!r} is not a bool"
+        raise DiagramError(what, path, "make a bool of it, for example by comparing it with a number")
 
 
 def check_base_rate(block: Block, rate: Rate, path: str) -> None:
-    """Raise DiagramError for a block that has to run at the base rate and does not."""
+    """Raise DiagramError for a block that must run at the base rate and does not."""
     moving = any(s.continuous for s in block.states)
     if (moving or block.trace.edges) and rate != BASE:
         what = "continuous states" if moving else "an edge inside the step"
-        raise DiagramError(f"{what} at the rate {tuple(rate)}", path, "keep the block at the base rate")
+        raise DiagramError(f"it has {what}, and runs at {tuple(rate)}", path, "let the block run at the base rate")
 
 
 def told_values(part: Part) -> dict[str, dict[str, Any]]:
-    """Return the values that a part's outputs hold: {"initial": {output: value}, "disabled": ...}."""
+    """Return the values that a part declares for its outputs: {"initial": {output: value}, "disabled": ...}."""
     return {"initial": part.initial, "disabled": part.disabled if isinstance(part.disabled, dict) else {}}
 
 
 def two_values(what: str, signal: str, first: Any, second: Any) -> str:
-    """Return an error's words for two `told_values` of one signal."""
+    """Return the text of an error for two different `told_values` of one signal."""
     verb, to = ("starts", "at") if what == "initial" else ("is reset", "to")
     return f"{signal} {verb} {to} {shown(first)} and {to} {shown(second)}"
 
@@ -378,7 +383,8 @@ def _pair(value: object, path: str, argument: str) -> tuple[Any, Any]:
     """Return the two numbers of an argument of `add`; raise DiagramError for anything else."""
     pair = plain_data(value, path)
     if not isinstance(pair, list) or len(pair) != 2 or not all(type(n) in (int, float) for n in pair):
-        raise DiagramError(f"{argument}={shown(value)}", path, f"give {argument}=(number, number)")
+        what = f"{argument}={shown(value)} is not two numbers"
+        raise DiagramError(what, path, f"give {argument}=(number, number)")
     return pair[0], pair[1]
 
 
@@ -405,11 +411,11 @@ def _check_conditions(part: Part, path: str, by_keyword: bool) -> None:
         choice = getattr(part, argument)
         if argument == "disabled" and isinstance(choice, dict):
             if part.enable is None:
-                raise DiagramError("values when disabled of what is never disabled", path, "give enable= too")
+                raise DiagramError("it has values for disabled=, and is never disabled", path, "give enable= too")
             continue
         if choice not in choices:
             remedy = _as_input(part.item, argument, choice) or f"use one of {', '.join(choices)}"
-            raise DiagramError(f"{argument}={shown(choice)}", path, remedy)
+            raise DiagramError(f"{argument}={shown(choice)} is unknown", path, remedy)
     if part.edge != "rising" and part.trigger is None:
         raise DiagramError(f"edge={shown(part.edge)} without a trigger", path, "give trigger= too")
     if part.enabling == "restart" and isinstance(part.item, Block):
@@ -434,12 +440,12 @@ def bus_paths(path: str) -> list[str]:
 
 
 def carried(item: Block | Diagram, output: str) -> Port | None:
-    """Return the port behind an output, or behind a field of one; None for a bus, or without a source."""
+    """Return the port from which an output, or a field of one, comes; None for a bus, or without a source."""
     return carried_fields(item, output).get("")
 
 
 def carried_fields(item: Block | Diagram, output: str) -> dict[str, Port]:
-    """Return the ports behind an output by field: "rates.p", or "" if it is not a bus. Empty without a source."""
+    """Return the ports an output comes from, by field "rates.p", or "" if it is no bus; empty without a source."""
     for _ in range(64):
         if isinstance(item, Block):
             return fields_of(item.outputs, output)

@@ -1,4 +1,4 @@
-"""Difference: what changed from one diagram to another, as a list that a person reads."""
+"""Difference of two diagrams: a readable list of the changes from one to the other."""
 
 import hashlib
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ _SHOWN = 8  # elements of an array
 
 @dataclass(frozen=True)
 class Change:
-    """One thing that changed at `path`: `what` is one of `WHATS`; `before` or `after` is "" where there was nothing."""
+    """A change at `path` of a thing in `WHATS` (`what`), from `before` to `after`; "" if it was or is not there."""
 
     what: str
     path: str
@@ -25,7 +25,7 @@ class Change:
 
     @property
     def kind(self) -> str:
-        """The kind of change: "added", "removed" or "changed"."""
+        """Kind of the change: "added", "removed" or "changed"."""
         return "added" if not self.before else "changed" if self.after else "removed"
 
     def __str__(self) -> str:
@@ -38,7 +38,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Difference:
-    """The changes from one diagram to another: ports first, then parameters, blocks and connections, sorted by path."""
+    """Changes from one diagram to another: ports first, then parameters, blocks and connections, each by path."""
 
     changes: tuple[Change, ...]
 
@@ -54,11 +54,11 @@ class Difference:
 
 
 def difference(before: Diagram, after: Diagram) -> Difference:
-    """Compare what `before` and `after` compute in a step. Names of diagrams, texts and layout do not count.
+    """Return the difference of what `before` and `after` compute. Names of diagrams, texts and layout do not count.
 
-    A sub-diagram is compared part by part, at paths such as "pid.gain". A part that was added or removed is named
-    with its parameters and connections, without its contents. A renamed part is removed and added. Custom blocks are
-    compared by their traced expressions. Raises DiagramError for a connection whose source is not there.
+    A sub-diagram is compared part by part, at paths such as "pid.gain". A part that was added or removed is listed with
+    its parameters and connections, without its contents. A renamed part is listed as removed and added. Custom blocks
+    are compared by their traced expressions. Raises DiagramError for a connection from an unknown source.
     """
     old, new = _listing(before), _listing(after)
     moved = old["block"].keys() ^ new["block"].keys()

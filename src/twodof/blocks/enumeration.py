@@ -34,11 +34,12 @@ class _Member(Int32):
 class Enumeration:
     """Named int32 values: `Mode = Enumeration("Mode", idle=0, armed=1)`; then `Mode.armed` is the int32 1.
 
-    `members` are the values by name, in the order given. One of them is 0: signals that nothing has computed yet, and
-    values that are none of the members, are 0. A Python `enum.IntEnum` is taken wherever an Enumeration is. Two are
-    equal if name and members are. A member that has the name of an attribute is read as `Mode["name"]`.
+    `members` are the values by name, in the order given. One of them must be 0, which is the value of a signal that was
+    not computed yet, and of a value that is not a member. A Python `enum.IntEnum` is accepted in place of an
+    Enumeration. Two are equal if their names and members are. A member with the name of an attribute is read as
+    `Mode["name"]`.
 
-    Raises DiagramError for a name that is not legal, a value that is not an int32 or stands twice, and without a 0.
+    Raises DiagramError for an illegal name, a value that is not an int32 or given twice, and without a 0.
     """
 
     __slots__ = ("members", "name")
@@ -52,28 +53,31 @@ class Enumeration:
             remedy = "use a letter, then up to 62 letters, digits or _ (ASCII)"
             raise DiagramError(f"{shown(name)} is not a name", "enumeration", remedy)
         if members is not None and not isinstance(members, Mapping):
-            raise DiagramError(f"the members {shown(members)}", where, 'write {"idle": 0, "armed": 1}')
+            what = f"the members are {shown(members)}, not a mapping"
+            raise DiagramError(what, where, 'write {"idle": 0, "armed": 1}')
         given = {**(members or {}), **more}
         if not 1 <= len(given) <= MAX_MEMBERS:
-            raise DiagramError(f"{len(given)} members", where, f"give 1 to {MAX_MEMBERS}")
+            raise DiagramError(f"it has {len(given)} members", where, f"give 1 to {MAX_MEMBERS}")
         by_value: dict[int, str] = {}
         for member, value in given.items():
             if not isinstance(member, str) or not _NAME.fullmatch(member):
                 raise DiagramError(f"{shown(member)} is not a name", where, "use a letter, then letters, digits or _")
             plain = value.value if isinstance(value, Int32) else value
             if isinstance(plain, bool) or not isinstance(plain, int) or not _MIN <= plain <= _MAX:
-                raise DiagramError(f"{member} = {shown(value)}", where, f"write a whole number from {_MIN} to {_MAX}")
+                what = f"{member} = {shown(value)} is not an int32"
+                raise DiagramError(what, where, f"write a whole number from {_MIN} to {_MAX}")
             if plain in by_value:
                 raise DiagramError(f"{by_value[plain]} and {member} are both {plain}", where, "give each its own value")
             by_value[int(plain)] = member
         if 0 not in by_value:
-            remedy = "name what a signal is that nothing has computed yet, such as none=0"
+            remedy = "add one, such as none=0, for signals that were not computed yet"
             raise DiagramError("no member is 0", where, remedy)
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "members", {member: value for value, member in by_value.items()})
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise DiagramError(f"{name!r} is assigned", f"enumeration {self.name}", "make another enumeration")
+        what = f"{name!r} is assigned, and an enumeration cannot change"
+        raise DiagramError(what, f"enumeration {self.name}", "make another enumeration")
 
     def __reduce__(self) -> Any:
         return Enumeration, (self.name, self.members)
@@ -105,7 +109,7 @@ class Enumeration:
         return next((member for member, number in self.members.items() if number == value), str(value))
 
     def plain(self, value: Any, where: str) -> Any:
-        """`value`, a member's name or number or a list of them, as numbers. DiagramError, at `where`, for others."""
+        """Return the number of a member's name or number, or a list of them; else raise DiagramError at `where`."""
         if isinstance(value, (list, tuple)):
             return [self.plain(one, where) for one in value]
         if isinstance(value, str):
@@ -132,7 +136,7 @@ Kind = str | type[IntEnum] | Enumeration | Bus
 
 
 def enumeration_of(kind: Any, where: str = "") -> Enumeration | None:
-    """Return the enumeration that `kind` stands for (Python's, ours or its plain form), or None for another kind."""
+    """Return the Enumeration for an Enumeration, a Python IntEnum or the plain form of one; None for another kind."""
     if isinstance(kind, Enumeration):
         return kind
     if isinstance(kind, type) and issubclass(kind, IntEnum):
@@ -145,9 +149,9 @@ def enumeration_of(kind: Any, where: str = "") -> Enumeration | None:
 
 
 def to_enumeration(kind: Kind, value: Any) -> Any:
-    """Return the int32 `value` as a member of the enumeration `kind`, or 0 if it is not a member.
+    """Return the int32 `value` if it is a member of the enumeration `kind`, else 0; arrays element by element.
 
-    Arrays element by element. Raises DiagramError if `kind` is not an enumeration.
+    Raises DiagramError if `kind` is not an enumeration.
     """
     enumeration = enumeration_of(kind)
     if enumeration is None:
@@ -162,10 +166,10 @@ def to_enumeration(kind: Kind, value: Any) -> Any:
 
 
 def stays_within(enumeration: Enumeration, item: Expr, leaves: Mapping[tuple[str, str], Enumeration | None]) -> bool:
-    """Return True if every possible value of `item` is a member, as far as its graph shows.
+    """Return True if the graph of `item` shows that its value is always a member of `enumeration`.
 
-    It shows that of members, of what is declared of the enumeration (`leaves` by op and name), of choices between such
-    values, and of arrays of them.
+    It does for members, for inputs, states and parameters of the enumeration (`leaves`, by op and name), for choices
+    between such values, and for arrays of them.
     """
     values = frozenset(enumeration.members.values())
     return all(
@@ -190,7 +194,10 @@ def _origins(item: Expr) -> Iterator[Expr]:
 
 
 def comparing(leaves: Mapping[tuple[str, str], Enumeration | None]) -> AbstractContextManager[None]:
-    """Raise DiagramError where the enclosed code compares what is of two enumerations (`leaves` by op and name)."""
+    """Return a context in which a comparison of values of two enumerations raises DiagramError.
+
+    `leaves` are the enumerations of inputs, states and parameters, by op and name.
+    """
 
     def check(op: str, a: Any, b: Any) -> tuple[Any, Any]:
         if op in _COMPARISONS:
@@ -229,11 +236,11 @@ _SCALARS = frozenset((float, int, bool, str, type(None)))
 
 
 def plain_data(value: Any, where: str, depth: int = 0) -> Any:
-    """`value` with numpy's arrays and scalars turned into lists and numbers of Python, at any depth; the rest as it is.
+    """Return `value` with numpy's arrays and scalars, at any depth, as lists and numbers of Python.
 
-    The numbers are the same ones: a float32 is a float64 too. Members of an enumeration become numbers, and an
-    enumeration or a bus its plain form. Raises DiagramError, at `where`, for complex numbers and for arrays of what is
-    not a number. It is also raised for lists within lists without end (`depth` counts them).
+    The numbers do not change, as a float32 is also a float64. Members of an enumeration become numbers, an enumeration
+    or a bus its plain form; anything else is unchanged. Raises DiagramError, at `where`, for complex numbers, for
+    arrays of other things than numbers, and for lists nested too deep (`depth` counts the levels).
     """
     if type(value) in _SCALARS:
         return value
@@ -247,7 +254,8 @@ def plain_data(value: Any, where: str, depth: int = 0) -> Any:
         if _SCALARS.issuperset(map(type, value)):
             return list(value)
         if depth == MAX_DEPTH:
-            raise DiagramError(f"lists within more than {MAX_DEPTH} lists", where, "give a number, a list or rows")
+            what = f"lists are nested more than {MAX_DEPTH} deep"
+            raise DiagramError(what, where, "give a number, a list or rows")
         return [plain_data(one, where, depth + 1) for one in value]
     if isinstance(value, IntEnum):
         return int(value)

@@ -84,14 +84,20 @@ def test_what_is_no_number_is_refused_with_the_block_and_the_argument(type_name:
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: Selector(3, 5), "Selector: indices=5 (give a list of integers within 0 .. 2)"),
-        (lambda: Concatenate(2), "Concatenate: widths=2 (give a list of integers within 1 .. 1000000)"),
-        (lambda: MultisineSource(3), "MultisineSource: harmonics=3 (give a list of integers within 1 .. 10000)"),
-        (lambda: StateSpace(np.eye(2), np.ones(2)), "StateSpace: B[0]=1.0 (give a list of 1 or more numbers)"),
+        (lambda: Selector(3, 5), "Selector: indices=5 is not a list (give a list of integers within 0 .. 2)"),
+        (lambda: Concatenate(2), "Concatenate: widths=2 is not a list (give a list of integers within 1 .. 1000000)"),
+        (
+            lambda: MultisineSource(3),
+            "MultisineSource: harmonics=3 is not a list (give a list of integers within 1 .. 10000)",
+        ),
+        (
+            lambda: StateSpace(np.eye(2), np.ones(2)),
+            "StateSpace: B[0]=1.0 is not valid (give a list of 1 or more numbers)",
+        ),
         (lambda: MatrixGain([[1.0, np.inf]]), "MatrixGain: K[0][1] = inf is not finite (give finite numbers)"),
         (lambda: Table([0.0, 1.0], [0.0, np.nan]), "Table: values[1] = nan is not finite (give finite numbers)"),
         (lambda: Lookup([0.0, np.inf], [0.0, 1.0]), "Lookup: breakpoints[1] = inf is not finite (give finite numbers)"),
-        (lambda: Delay(2.5), "Delay: bound=2.5 (give an integer within 1 .. 100000)"),
+        (lambda: Delay(2.5), "Delay: bound=2.5 is not valid (give an integer within 1 .. 100000)"),
         (
             lambda: Gain(gain=2.0),
             "Gain: it got an unexpected keyword argument 'gain' (its arguments: k, width, gain_unit, input_unit, unit)",
@@ -211,5 +217,5 @@ def test_lists_within_lists_without_end_are_refused() -> None:
     endless: list[Any] = [1.0]
     endless.append(endless)
     for make in (lambda: Gain(endless), lambda: Param("k", endless), lambda: Steps(endless, 1.0)):
-        with pytest.raises((DiagramError, ExperimentError), match="lists within more than 8 lists"):
+        with pytest.raises((DiagramError, ExperimentError), match="lists are nested more than 8 deep"):
             make()

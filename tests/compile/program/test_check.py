@@ -79,7 +79,7 @@ def test_every_problem_is_named_with_its_whole_path() -> None:
         ("outer", "algebraic loop a.y <- b.y <- a.y"),
         ("outer", "algebraic loop c.y <- d.y <- c.y"),
         ("slow.u", "runs at (4, 0)"),
-        ("state", "continuous states at the rate"),
+        ("state", "it has continuous states"),
         ("edge", "an edge inside the step"),
         ("outer", "there is no input or part 'nowhere'"),
     ):

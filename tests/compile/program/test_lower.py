@@ -116,7 +116,7 @@ def test_contradictions_are_refused_with_their_path(
     [
         ({"initial": {"z": 1.0}}, "there is no output 'z' to start"),
         ({"enable": "on", "disabled": {"z": 1.0}}, "there is no output 'z' to reset"),
-        ({"disabled": {"y": 1.0}}, "values when disabled of what is never disabled"),
+        ({"disabled": {"y": 1.0}}, "has values for disabled=, and is never disabled"),
         ({"enable": "on", "disabled": "off"}, "disabled='off'"),
     ],
 )

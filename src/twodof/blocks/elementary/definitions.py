@@ -1,8 +1,9 @@
-"""How the elementary functions are computed: one definition each, for a `Format` (float64 or float32).
+"""Definitions of the elementary functions, one each, for a `Format` (float64 or float32).
 
 They are made of + - * / sqrt, `where` and bit operations of the block language only. The methods are the textbook ones
 (J.-M. Muller, Elementary Functions, 3rd ed., 2016): reduce the argument, evaluate a polynomial
-(`coefficients.py`), undo the reduction. Sums and products with their rounding errors are Dekker's and Knuth's.
+(`coefficients.py`), undo the reduction. Sums and products with their rounding errors are Dekker's and Knuth's. An angle
+is reduced by quarter turns (pi/2) to an octant, [-pi/4, pi/4].
 """
 
 from collections.abc import Sequence
@@ -34,17 +35,17 @@ class Format:
 
     @property
     def unit(self) -> float:
-        """The power of two from which on all reals are integers."""
+        """Power of two from which on all reals are integers."""
         return 2.0**self.fraction
 
     @property
     def shifter(self) -> float:
-        """Added to a small real it leaves the nearest integer in the low bits."""
+        """Number that, added to a small real, leaves the nearest integer in the low bits of the sum."""
         return 1.5 * self.unit
 
     @property
     def splitter(self) -> float:
-        """Veltkamp's constant: a product with it cuts a significand into halves."""
+        """Veltkamp's constant, a product with which divides a significand into halves."""
         return 2.0 ** ((self.fraction + 2) // 2) + 1.0
 
     def upper(self, x: Any) -> Any:
@@ -60,7 +61,7 @@ class Format:
         return from_bits(bits_of(x, 0), word) if self.top else from_bits(word)
 
     def power_of_two(self, n: Any) -> Any:
-        """2^n for an int32 within the exponents of normal numbers."""
+        """Return 2^n for an int32 n within the exponents of normal numbers."""
         word = to_uint32(n + self.bias) << self.position
         return from_bits(uint32(0), word) if self.top else from_bits(word)
 
@@ -70,7 +71,7 @@ SINGLE = Format("float32", FLOAT32, 23, 0, 23, 127, 0x3F3504F3, 0x4B400000, 89.0
 
 
 def polynomial(z: Any, coefficients: Sequence[float]) -> Any:
-    """Sum of coefficients[i] z^i by Estrin's scheme: as few steps in a row as possible, which Horner's are not."""
+    """Return the sum of coefficients[i] z^i by Estrin's scheme, which has fewer successive steps than Horner's."""
     terms: list[Any] = list(coefficients)
     while len(terms) > 1:
         pairs = [terms[i] + terms[i + 1] * z for i in range(0, len(terms) - 1, 2)]
@@ -123,7 +124,7 @@ def _quarter_turns(f: Format, x: Any) -> tuple[Any, Any, Any]:
 
 
 NEAR = 0.78
-"""Below a quarter turn's half: up to here an angle is its own remainder, to the last bit."""
+"""Angle [rad] up to which the reduction changes no bit: a little below pi/4."""
 
 
 def _nearest_quarter(f: Format, x: Any) -> tuple[Any, Any]:
@@ -134,19 +135,19 @@ def _nearest_quarter(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def sin_octant(f: Format, r: Any) -> Any:
-    """Sine for |r| <= pi/4."""
+    """Return the sine for |r| <= pi/4."""
     z = r * r
     return r + r * z * polynomial(z, f.coefficients.sin)
 
 
 def cos_octant(f: Format, r: Any) -> Any:
-    """Cosine for |r| <= pi/4."""
+    """Return the cosine for |r| <= pi/4."""
     z = r * r
     return 1.0 - (z * 0.5 - z * z * polynomial(z, f.coefficients.cos))
 
 
 def sin(f: Format, x: Any) -> Any:
-    """Both polynomials of the octant; the quarter turn chooses one and its sign."""
+    """Return the sine: of the octant's sine and cosine, the number of quarter turns selects one and its sign."""
     turns, r = _nearest_quarter(f, x)
     y = where((turns & 1) == 0, sin_octant(f, r), cos_octant(f, r))
     y = where((turns & 2) == 0, y, -y)
@@ -154,7 +155,7 @@ def sin(f: Format, x: Any) -> Any:
 
 
 def cos(f: Format, x: Any) -> Any:
-    """As `sin`, a quarter turn ahead."""
+    """Return the cosine, as `sin` a quarter turn ahead."""
     turns, r = _nearest_quarter(f, x)
     y = where((turns & 1) == 0, cos_octant(f, r), sin_octant(f, r))
     y = where(((turns + 1) & 2) == 0, y, -y)
@@ -162,7 +163,7 @@ def cos(f: Format, x: Any) -> Any:
 
 
 def tan(f: Format, x: Any) -> Any:
-    """Sine by cosine of the octant, or -cosine by sine on odd quarter turns."""
+    """Return the tangent: sine by cosine of the octant, or -cosine by sine for odd quarter turns."""
     # The quotient adds the errors of both, so both are taken beyond their rounding: the tail of r goes into them.
     turns, r, tail = _quarter_turns(f, x)
     z = r * r
@@ -195,7 +196,7 @@ def _from(f: Format, halves: int, angle: Any) -> Any:
 
 
 def atan(f: Format, x: Any) -> Any:
-    """Return the angle of x : 1, or beyond 1 what is left of it from a quarter turn."""
+    """Return the arc tangent: for |x| > 1 a quarter turn less that of 1 / |x|, with the sign of x."""
     a = abs(x)
     steep = a > 1.0
     angle = _angle(f, where(steep, 1.0, a), where(steep, a, 1.0))
@@ -204,7 +205,7 @@ def atan(f: Format, x: Any) -> Any:
 
 
 def atan2(f: Format, y: Any, x: Any) -> Any:
-    """Return the angle of the shorter to the longer side, and the axis and quadrant that it counts from."""
+    """Return the angle of the point (x, y), from the ratio of its shorter to its longer side, the axis and quadrant."""
     a, b = abs(y), abs(x)
     steep = b < a
     long, short = where(steep, a, b), where(steep, b, a)
@@ -233,7 +234,7 @@ def _arc(f: Format, x: Any) -> tuple[Any, Any, Any]:
 
 
 def asin(f: Format, x: Any) -> Any:
-    """Polynomial up to 1/2, beyond it a quarter turn less twice the half angle."""
+    """Return the arc sine: a polynomial for |x| <= 1/2, beyond it a quarter turn less twice the half angle."""
     small, t, rest = _arc(f, x)
     high, low = f.coefficients.pi
     large = (high / 2 - (t + t)) - ((rest + rest) - low / 2)
@@ -241,7 +242,7 @@ def asin(f: Format, x: Any) -> Any:
 
 
 def acos(f: Format, x: Any) -> Any:
-    """Return a quarter turn less the arc sine up to 1/2, beyond it twice the half angle."""
+    """Return the arc cosine: a quarter turn less the arc sine for |x| <= 1/2, beyond it from twice the half angle."""
     small, t, rest = _arc(f, x)
     arc = t + rest
     large = where(x < 0.0, _from(f, 2, arc + arc), arc + arc)
@@ -263,7 +264,7 @@ def _scaled(f: Format, y: Any, n: Any) -> Any:
 
 
 def exp(f: Format, x: Any) -> Any:
-    """2^n e^r with |r| <= ln(2)/2."""
+    """Return e^x as 2^n e^r with |r| <= ln(2)/2."""
     x = where(f.overflow < x, f.overflow, where(x < f.underflow, f.underflow, x))
     n, most, last = _halvings(f, x)
     r = most - last
@@ -281,7 +282,7 @@ def _mantissa(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def log(f: Format, x: Any) -> Any:
-    """Return k ln 2 + log m with m within sqrt(2) of 1, by the series of atanh."""
+    """Return the logarithm of x = 2^k m as k ln 2 + log m, with m in [sqrt(1/2), sqrt(2)), by the series of atanh."""
     c = f.coefficients
     m, k = _mantissa(f, x)
     g = m - 1.0
@@ -318,7 +319,7 @@ def _log_sum(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def pow(f: Format, x: Any, y: Any) -> Any:
-    """exp(y log x) with the logarithm and the product carried in two reals, for an error below 1 ulp."""
+    """Return x^y as exp(y log x), with logarithm and product each as a sum of two reals, for an error below 1 ulp."""
     a = abs(x)
     plain = (a > 0.0) & (a < INFINITY)
     log, log_low = _log_sum(f, where(plain, a, 1.0))
@@ -351,31 +352,31 @@ def _nearest(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def floor(f: Format, x: Any) -> Any:
-    """Return the nearest integer, less one where that is above."""
+    """Return the largest integer not above x: the nearest one, less 1 if that is above."""
     fractional, n = _nearest(f, x)
     return where(fractional, where(x < n, n - 1.0, n), x)
 
 
 def ceil(f: Format, x: Any) -> Any:
-    """-floor(-x)."""
+    """Return the smallest integer not below x: -floor(-x)."""
     return -floor(f, -x)
 
 
 def trunc(f: Format, x: Any) -> Any:
-    """Return the floor of |x| with the sign of x."""
+    """Return the integer next to x towards 0: the floor of |x| with the sign of x."""
     a = abs(x)
     n = floor(f, a)
     return where(f.negative(x), -n, n)
 
 
 def round_half_even(f: Format, x: Any) -> Any:
-    """Return the number to which the addition of 2^fraction rounds."""
+    """Return the integer nearest to x; of two equally near, the even one, as the addition of `f.unit` rounds."""
     fractional, n = _nearest(f, x)
     return where(fractional, n, x)
 
 
 def round_half_away(f: Format, x: Any) -> Any:
-    """Return the floor of |x|, one more from a half on, with the sign of x."""
+    """Return the integer nearest to x; of two equally near, the one away from 0."""
     a = abs(x)
     n = floor(f, a)
     n = where(a - n < 0.5, n, n + 1.0)
@@ -383,7 +384,7 @@ def round_half_away(f: Format, x: Any) -> Any:
 
 
 def tanh(f: Format, x: Any) -> Any:
-    """Polynomial up to 5/8, beyond it 1 - 2 / (e^2x + 1)."""
+    """Return the hyperbolic tangent: a polynomial for |x| <= 5/8, beyond it 1 - 2 / (e^2x + 1)."""
     a = abs(x)
     z = x * x
     small = x + x * z * polynomial(z, f.coefficients.tanh)
@@ -393,7 +394,7 @@ def tanh(f: Format, x: Any) -> Any:
 
 
 def hypot(f: Format, x: Any, y: Any) -> Any:
-    """Root of the sum of squares, scaled by a power of two that cancels."""
+    """Return sqrt(x^2 + y^2), scaled by a power of two on the way, so that nothing overflows or underflows."""
     a, b = abs(x), abs(y)
     long = where(a < b, b, a)
     huge, tiny = 2.0 ** (f.bias // 2 - 1) < long, long < 2.0 ** (f.fraction - f.bias // 2)

@@ -1,8 +1,8 @@
 """Elementary functions, written in the block language, so that every target computes the same bits.
 
 On a number a function computes, on an Expr it records a call by name; a compiler makes one function of each definition
-in `DEFINITIONS`. No platform's libm is ever called. A float32 or float64 gives the same kind, by that precision's
-definition, in every build.
+in `DEFINITIONS`. No platform's libm is ever called. The result of a float32 or float64 has the same kind, and is
+computed in that precision in every build.
 
 Errors against mpmath are at most 2.5 ulp in float64 and 4 ulp in float32 over the whole range of each function. For
 sin, cos and tan this holds while |x| <= 1e5 (float64) or 6400 (float32). `tests/blocks/elementary` measures them.
@@ -37,66 +37,66 @@ def _apply(name: str, *values: Any) -> Any:
 
 
 def sin(x: Any) -> Any:
-    """Sine of x [rad], in [-1, 1]; NaN for an infinity.
+    """Return the sine of x [rad], in [-1, 1]; NaN for an infinity.
 
-    Beyond |x| = 1e5 (6400 in float32) the error is at most one ulp of x; beyond 2^44 (2^16) the result is 0. Wrap a
-    growing angle before its own rounding spoils it.
+    Beyond |x| = 1e5 (6400 in float32) the error is at most one ulp of x; beyond 2^44 (2^16) the result is 0. Wrap an
+    angle that grows, as its rounding error grows with it.
     """
     return _apply("sin", x)
 
 
 def cos(x: Any) -> Any:
-    """Cosine of x [rad]; accurate where `sin` is, and 1 beyond 2^44 (2^16). In [-1, 1]; NaN for an infinity."""
+    """Return the cosine of x [rad], in [-1, 1], as accurate as `sin`; 1 beyond 2^44 (2^16), NaN for an infinity."""
     return _apply("cos", x)
 
 
 def sin_octant(x: Any) -> Any:
-    """Sine for |x| <= pi/4 only, where it spares the reduction of the argument; -0.0 gives 0.0."""
+    """Return the sine of x [rad] for |x| <= pi/4 only, faster than `sin`; 0.0 for -0.0."""
     return _apply("sin_octant", x)
 
 
 def cos_octant(x: Any) -> Any:
-    """Cosine for |x| <= pi/4 only, where it spares the reduction of the argument."""
+    """Return the cosine of x [rad] for |x| <= pi/4 only, faster than `cos`."""
     return _apply("cos_octant", x)
 
 
 def tan(x: Any) -> Any:
-    """Tangent of x [rad]; accurate where `sin` is, and 0 beyond 2^44 (2^16). NaN for an infinity."""
+    """Return the tangent of x [rad], as accurate as `sin`; 0 beyond 2^44 (2^16), NaN for an infinity."""
     return _apply("tan", x)
 
 
 def atan(x: Any) -> Any:
-    """Angle in [-pi/2, pi/2] rad whose tangent is x."""
+    """Return the angle in [-pi/2, pi/2] rad whose tangent is x."""
     return _apply("atan", x)
 
 
 def atan2(y: Any, x: Any) -> Any:
-    """Angle in [-pi, pi] rad of the point (x, y); defined everywhere, signed zeros and infinities included."""
+    """Return the angle in [-pi, pi] rad of the point (x, y), also for signed zeros and infinities."""
     return _apply("atan2", y, x)
 
 
 def asin(x: Any) -> Any:
-    """Angle in [-pi/2, pi/2] rad whose sine is x; NaN beyond [-1, 1]."""
+    """Return the angle in [-pi/2, pi/2] rad whose sine is x; NaN beyond [-1, 1]."""
     return _apply("asin", x)
 
 
 def acos(x: Any) -> Any:
-    """Angle in [0, pi] rad whose cosine is x; NaN beyond [-1, 1]."""
+    """Return the angle in [0, pi] rad whose cosine is x; NaN beyond [-1, 1]."""
     return _apply("acos", x)
 
 
 def exp(x: Any) -> Any:
-    """Return e to the power x, from 0 over the subnormals to infinity."""
+    """Return e to the power x; subnormal or 0 for small x, infinite for large x."""
     return _apply("exp", x)
 
 
 def log(x: Any) -> Any:
-    """Natural logarithm; -inf at 0, NaN below it."""
+    """Return the natural logarithm of x; -inf for 0, NaN for x < 0."""
     return _apply("log", x)
 
 
 def pow(x: Any, y: Any) -> Any:
-    """Return x to the power y; NaN for a negative x and a y that is not an integer. An exact result stays exact."""
+    """Return x to the power y; NaN for a negative x if y is not an integer. An exact result is exact."""
     return _apply("pow", x, y)
 
 
@@ -116,22 +116,22 @@ def trunc(x: Any) -> Any:
 
 
 def round_half_even(x: Any) -> Any:
-    """Return the integer nearest to x, of two the even one, as a real."""
+    """Return the integer nearest to x, as a real; of two equally near, the even one."""
     return _apply("round_half_even", x)
 
 
 def round_half_away(x: Any) -> Any:
-    """Return the integer nearest to x, of two the one away from 0, as a real."""
+    """Return the integer nearest to x, as a real; of two equally near, the one away from 0."""
     return _apply("round_half_away", x)
 
 
 def tanh(x: Any) -> Any:
-    """Hyperbolic tangent."""
+    """Return the hyperbolic tangent of x."""
     return _apply("tanh", x)
 
 
 def hypot(x: Any, y: Any) -> Any:
-    """sqrt(x^2 + y^2) without overflow or underflow on the way; infinite if one side is, even beside a NaN."""
+    """Return sqrt(x^2 + y^2) without overflow or underflow on the way; infinite if x or y is, even beside a NaN."""
     return _apply("hypot", x, y)
 
 

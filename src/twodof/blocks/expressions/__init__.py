@@ -1,1 +1,1 @@
-"""Expression graphs: recorded, evaluated on numbers, differentiated, and their cost."""
+"""Expression graphs: their recording, their evaluation on numbers, their derivatives and their cost."""

@@ -1,6 +1,6 @@
 """Arrays of fixed length: vectors, matrices, their operators, and loops that stay loops when they are recorded.
 
-One implementation serves numbers and nodes, so that the order of roundings is the same for both.
+The same code computes on numbers and records nodes, so that the order of roundings is the same for both.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from twodof.blocks.expressions.numbers import BY_NAME, ArrayOperators, Int32, In
 from twodof.blocks.expressions.recording import Refusals
 
 LOOPS: ContextVar[tuple[int, ...]] = ContextVar("loops", default=())
-"""The lengths of the loops that enclose what is being recorded, the outermost first."""
+"""Lengths of the loops around the code that is being recorded, the outermost first."""
 
 
 def vector(elements: Sequence[Any]) -> Any:
@@ -55,7 +55,7 @@ def vector(elements: Sequence[Any]) -> Any:
 
 
 def store(array: Any, index: Any, value: Any) -> Any:
-    """`array` with the element at the (clamped) index replaced; compiled to a write in place where it can be."""
+    """Return `array` with the element at the clamped `index` replaced; compiled to a write in place if possible."""
     if traced(array, index, value):
         base = array if isinstance(array, Expr) else vector(list(array))
         if base.width is None:
@@ -71,7 +71,7 @@ def store(array: Any, index: Any, value: Any) -> Any:
 def array_of(length: int, element: Callable[[Any], Any]) -> Any:
     """Return the array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled.
 
-    Where the elements are arrays themselves, it is all of them, one after the other.
+    If the elements are arrays themselves, they are concatenated.
     """
     if length < 1:
         raise fault("an array of no elements", "an array has at least one element")
@@ -86,10 +86,10 @@ def array_of(length: int, element: Callable[[Any], Any]) -> Any:
 
 
 def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]) -> tuple[Any, ...]:
-    """Repeat `values = step(i, *values)` for the int32 i = 0 .. length - 1 from `initial`; stays a loop when compiled.
+    """Repeat `values = step(i, *values)` for the int32 i = 0 .. length - 1 from `initial`, and return the last values.
 
-    The values are scalars; `step` returns as many as it takes, of the same types. An integer of 8 or 16 bits is carried
-    as int32. Returns the last values.
+    It stays a loop when compiled. The values are scalars; `step` returns as many as it takes, of the same types. An
+    integer of 8 or 16 bits is carried as int32.
     """
     initial = [computed_in(v) for v in initial]
     if not recording():
@@ -121,16 +121,17 @@ WRITTEN = 4  # elements of another array that are written out; more are a loop, 
 LONGEST_SUM = 32  # terms of one element of a product that are written out; more are a loop within the loop
 
 Shape = tuple[int, ...]
-"""() of a scalar, (n,) of a vector, (rows, columns) of a matrix."""
+"""A shape: () of a scalar, (n,) of a vector, (rows, columns) of a matrix."""
 
 
 class Matrix(Refusals, ArrayOperators):
     """A matrix of `shape` (rows, columns) over the array `flat`, which holds column after column.
 
-    `m[i, j]` is an element, `m[i]` a row, `m[:, j]` a column, `m[0:2, 1:3]` a part. It counts and iterates over rows.
+    `m[i, j]` is an element, `m[i]` a row, `m[:, j]` a column, `m[0:2, 1:3]` a part. Length and iteration are over rows.
 
-    What reads each element once need not wait for `flat`, and nobody may need that then: `element` gives one at a
-    literal or counted place i, j, for the price of a few operations. `moved`: it only reads, as of a transpose.
+    `element`, if given, computes the element at a literal or counted i, j in a few operations. An operation that reads
+    each element once uses it in place of `flat`, which then need not be computed. `moved` is true if `element` only
+    reads an element of another array, as for a transpose.
     """
 
     __slots__ = ("element", "flat", "moved", "shape")
@@ -144,7 +145,7 @@ class Matrix(Refusals, ArrayOperators):
         self.moved = moved
 
     def at(self, i: Any, j: Any) -> Any:
-        """Return the element in row i and column j, both inside."""
+        """Return the element in row i and column j, which must be inside the matrix."""
         if self.element is not None:
             return self.element(i, j)
         literal = isinstance(i, int) and isinstance(j, int)
@@ -177,7 +178,7 @@ class Matrix(Refusals, ArrayOperators):
 
 
 def place(i: Any, j: Any, rows: int) -> Any:
-    """Where the element in row i and column j stands, column after column."""
+    """Return the index of the element in row i and column j in an array of column after column."""
     if isinstance(j, int):
         return i + j * rows if j else i
     return j * rows + i if not isinstance(i, int) or i else j * rows
@@ -261,12 +262,12 @@ def _gather(flat: Any, places: Sequence[int]) -> Any:
 
 
 def spread(f: Callable[..., Any], *values: Any) -> Any:
-    """`f` of scalars, or, of arrays of one shape and scalars, the array of `f` element by element."""
+    """Return `f` of scalars, or the array of `f` element by element for arrays of one shape and scalars."""
     operands = [_operand(v) for v in values]
     shapes = {s for s in map(shape_of, operands) if s}
     if len(shapes) > 1:
         met = " and ".join(shape_text(s) for s in map(shape_of, operands) if s)
-        raise fault(f"arrays of {met} meet in one operation", "give them one shape; scalars go with all shapes")
+        raise fault(f"arrays of {met} are in one operation", "give them the same shape; scalars go with all shapes")
     if not shapes:  # an array of numpy without a dimension is a number
         return f(*operands)
     shape = shapes.pop()
@@ -295,8 +296,8 @@ def product(a: Any, b: Any) -> Any:
     first, second = shape_of(left), shape_of(right)
     if not first or not second or first[-1] != second[0]:
         raise fault(
-            f"{shape_text(first)} @ {shape_text(second)}",
-            "the columns of the first are as many as the rows of the second; with a scalar, write *",
+            f"{shape_text(first)} @ {shape_text(second)} is not possible",
+            "give the first as many columns as the second has rows; with a scalar, write *",
         )
     rows, inner, columns = (first[0] if len(first) == 2 else 1), second[0], (second[1] if len(second) == 2 else 1)
     a_flat, b_flat = _array(flat_of(left), flat_of(right)), _array(flat_of(right), flat_of(left))
@@ -341,15 +342,15 @@ def _array(flat: Any, other: Any) -> Any:
 
 
 def part(array: Any, index: Any) -> Any:
-    """`array[index]`: slices with constant bounds, and one index for each dimension of a matrix."""
+    """Return `array[index]`, for slices with constant bounds, and with one index for each dimension of a matrix."""
     shape = shape_of(array)
     if len(shape) == 1:
         if isinstance(index, tuple):
-            raise fault(f"an array of {shape_text(shape)} is indexed with {len(index)} indices", "give it one")
+            raise fault(f"an array of {shape_text(shape)} has {len(index)} indices", "give it one")
         return _gather(array, _places(index, shape[0]))
     given = index if isinstance(index, tuple) else (index, slice(None))
     if len(given) != 2:
-        raise fault(f"a matrix of {shape_text(shape)} is indexed with {len(given)} indices", "give it two")
+        raise fault(f"a matrix of {shape_text(shape)} has {len(given)} indices", "give it two")
     chosen = [_places(i, n) if isinstance(i, slice) else [_place(i, n)] for i, n in zip(given, shape, strict=True)]
     literal = all(isinstance(i, int) for places in chosen for i in places)
     read = _pick if literal else operator.getitem
@@ -371,7 +372,8 @@ def _places(index: slice, length: int) -> list[int]:
     bounds = [b for b in (index.start, index.stop) if b is not None]
     if not places or any(not -length <= b <= length for b in bounds):
         text = ":".join("" if b is None else str(b) for b in (index.start, index.stop))
-        raise fault(f"the slice {text} of an array of {length}", "it takes one or more elements, all of them inside")
+        what = f"the slice {text} does not fit an array of {length}"
+        raise fault(what, "take one or more elements, all of them inside")
     return places
 
 
@@ -397,12 +399,12 @@ def zeros(*shape: int) -> Any:
 
 
 def eye(size: int) -> Any:
-    """Return the identity matrix."""
+    """Return the identity matrix of `size` rows and columns."""
     return diag([1.0] * size)
 
 
 def diag(values: Any) -> Any:
-    """Return the square matrix with these values on its diagonal, or, of a matrix, its diagonal as a vector."""
+    """Return the square matrix with the vector `values` on its diagonal; of a matrix, its diagonal as a vector."""
     shape = shape_of(values)
     if len(shape) == 2:
         return vector([values[i, i] for i in range(min(shape))])
@@ -411,13 +413,14 @@ def diag(values: Any) -> Any:
 
 
 def concatenate(arrays: Sequence[Any], axis: int = 0) -> Any:
-    """Vectors one after the other, or matrices below (axis 0) or beside (axis 1) one another."""
+    """Return vectors joined one after the other, or matrices joined below (axis 0) or beside (axis 1) one another."""
     shapes = [shape_of(a) for a in arrays]
     if {len(s) for s in shapes} == {1} and axis == 0:
         return vector([v for a in arrays for v in a])
     if {len(s) for s in shapes} != {2} or axis not in (0, 1) or len({s[1 - axis] for s in shapes}) > 1:
         met = ", ".join(shape_text(s) for s in shapes)
-        raise fault(f"arrays of {met} along axis {axis}", "give vectors, or matrices that fit together, axis 0 or 1")
+        what = f"arrays of {met} cannot be joined along axis {axis}"
+        raise fault(what, "give vectors, or matrices that fit together, axis 0 or 1")
     if axis == 0:
         return matrix([row for a in arrays for row in a])
     return matrix([[v for a in arrays for v in a[i]] for i in range(shapes[0][0])])
@@ -435,14 +438,15 @@ def outer(a: Any, b: Any) -> Any:
 def cross(a: Any, b: Any) -> Any:
     """Return the vector product of two vectors of three."""
     if shape_of(a) != (3,) or shape_of(b) != (3,):
-        raise fault(f"cross of {shape_text(shape_of(a))} and {shape_text(shape_of(b))}", "give two vectors of 3")
+        what = f"cross cannot take {shape_text(shape_of(a))} and {shape_text(shape_of(b))}"
+        raise fault(what, "give two vectors of 3")
     return vector([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
 
 
 def sum(a: Any) -> Any:
-    """a[0] + a[1] + ..., from the left; of a matrix column after column."""
+    """Return a[0] + a[1] + ..., from the left; of a matrix column after column."""
     if not shape_of(a):
-        raise fault("sum of a scalar", "give an array")
+        raise fault("sum cannot take a scalar", "give an array")
     flat = flat_of(a)
     if isinstance(flat, Expr) and len(flat) > WRITTEN:
         return fold(len(flat) - 1, [flat[0]], lambda i, total: [total + flat[i + 1]])[0]

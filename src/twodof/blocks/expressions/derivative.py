@@ -1,8 +1,9 @@
 """Exact derivatives of recorded expressions: forward-mode differentiation of the graph at a point.
 
 Each value carries its slope, the vector of its derivatives by the seeds. Source: Griewank, Walther, Evaluating
-Derivatives (2nd ed., 2008), chapter 3. At a tie, where a branch changes, the branch is the one that a direction of
-motion leads into. Source: Griewank, On stable piecewise linearization, Optimization Methods and Software 28-6, 2013.
+Derivatives (2nd ed., 2008), chapter 3. At a tie, a point at which a branch changes, that branch is taken into which a
+given direction leads. Source: Griewank, On stable piecewise linearization, Optimization Methods and Software 28-6,
+2013.
 """
 
 import math
@@ -25,7 +26,7 @@ Slope = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Dual:
-    """A number of the language and its slope (None: it does not change, as an integer or bool never does)."""
+    """A number of the language and its slope; None means 0, as always for an integer or bool."""
 
     value: Any
     slope: Slope | None = None
@@ -36,9 +37,9 @@ Value = Dual | tuple[Dual, ...]
 
 @dataclass(frozen=True)
 class Tie:
-    """A place where a branch changes just at the point: in block `where`, `what`, and the slope that decides.
+    """A branch that changes exactly at the point: the block `where`, a description `what`, and the deciding slope.
 
-    `single`: the branch of the point itself is that of the border alone (`==`).
+    With `single`, the branch of the point itself is taken at that point only, as for `==`.
     """
 
     where: str
@@ -48,12 +49,12 @@ class Tie:
 
 
 def constant(value: Any) -> Value:
-    """Return a number or Vector that does not change."""
+    """Return a number or Vector as a value without a slope."""
     return tuple(Dual(v) for v in value) if isinstance(value, tuple) else Dual(value)
 
 
 def plain(value: Value) -> Any:
-    """Return the number, or Vector of numbers, without its slope."""
+    """Return the number, or the Vector of numbers, of a value without its slope."""
     return Vector(d.value for d in value) if isinstance(value, tuple) else value.value
 
 
@@ -79,7 +80,7 @@ _PARTIAL: dict[str, Callable[..., tuple[float, ...]]] = {
     "tanh": lambda x, y: (1.0 - y * y,),
     "hypot": lambda a, b, y: (a / y, b / y),
 }
-"""The derivatives of operations and elementary functions by their arguments, from these and the result."""
+"""Derivatives of operations and elementary functions by each argument, as functions of arguments and result."""
 
 _HALF = dict.fromkeys(("round_half_even", "round_half_away"), lambda x: math.floor(x + 0.5))
 _STEPS: dict[str, Callable[[float], float]] = {"floor": math.floor, "ceil": math.ceil, "trunc": math.trunc, **_HALF}
@@ -88,11 +89,11 @@ _WITHIN = 1e-12  # the sine of an angle by which a direction may leave a border 
 
 
 class Tangent:
-    """Evaluates expressions with their slopes, in float64; to be used under `numbers.precision("float64")`.
+    """Evaluation of expressions with their slopes, in float64; to be used under `numbers.precision("float64")`.
 
-    `direction` says where the seeds move: at a tie the branch is taken that lies there. Without one the branch is that
-    of the point itself. `ties` collects the ties met, `rounded` the blocks in which a slope ends in a rounding; `block`
-    is the path that they are noted under.
+    At a tie the branch is that into which `direction`, a motion of the seeds, leads; by default it is that of the point
+    itself. `ties` collects the ties that were met, `rounded` the blocks in which a slope ends at a rounding; `block` is
+    the path of the block that is evaluated.
     """
 
     def __init__(self, direction: Slope | None = None) -> None:
