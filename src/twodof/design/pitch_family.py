@@ -73,7 +73,7 @@ class PitchFamily:
         figures["gust_time"] = (self.gust_time, _LEAST_TIME, _MOST)
         for name, (value, low, high) in figures.items():
             if not is_number(value, low, high):
-                raise _error(f"{name} = {shown(value)} is out of range", f"give {low:g} to {high:g}")
+                raise _error(f"{name} = {shown(value)} is out of range", f"give a number from {low:g} to {high:g}")
         k = len(self.uncertain)
         if not set(self.uncertain) <= set(PARAMETERS) or len(set(self.uncertain)) < k:
             what = f"the uncertain parameters {listed(self.uncertain)} are unknown or named twice"

@@ -89,7 +89,7 @@ class Specification:
             value = getattr(self, name)
             if not is_number(value, low, high):
                 what = f"{name} = {shown(value)} is out of range"
-                raise ParameterError(what, "specification", f"give {low:g} to {high:g}")
+                raise ParameterError(what, "specification", f"give a number from {low:g} to {high:g}")
         if foreign := [name for name in TABLES[self.table] if name in self.asked]:
             what = f"{foreign[0]} does not apply to the {self.loop} loop"
             raise ParameterError(what, "specification", "leave it out")
