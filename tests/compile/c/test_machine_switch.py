@@ -167,3 +167,27 @@ def test_a_slow_machine_reads_what_a_fast_block_reads_too() -> None:
         assert compiled.step(row) == expected.step(row)
     assert compiled.state("door.mode") == expected.state("door.mode") == 0
     assert compiled.state("door.elapsed") == expected.state("door.elapsed")
+
+
+class Deaf(Door):
+    """A door with an input that nothing reads."""
+
+    inputs = (*Door.inputs, Port("unread"))
+
+
+def test_an_unread_input_does_not_wake_its_source() -> None:
+    inner = Diagram("inner")
+    inner.input("u")
+    inner.add("double", Bias(1.0), u="u")
+    inner.output("y", "double")
+    d = Diagram("house")
+    for name, kind in (("u", "real"), ("on", "bool")):
+        d.input(name, kind)
+    d.add("asleep", inner, enable="on", u="u")
+    d.add("door", Deaf(), push="on", lock="on", unread="asleep.y")
+    d.output("open", "door.open")
+    d.output("y", "asleep.y")
+    expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
+    for k in range(4):
+        row = {"u": float(k), "on": k == 1}
+        assert compiled.step(row) == expected.step(row)

@@ -78,9 +78,7 @@ class Schedule:
 
     def ready(self, node: Node) -> bool:
         """Return True if all signals that a state machine reads, and those that reset it, have been computed."""
-        assert isinstance(node.block, StateMachine)
-        needed = [s for s in inputs_of(node, node.block.graph.expressions) if s.node is not None]
-        return all(s in self._at for s in (*needed, *node.starts))
+        return all(s in self._at for s in (*switch_inputs(node), *node.starts))
 
     def _update(self, node: Node) -> int:
         """Return the segment at whose end a block's states are replaced: nothing reads the old ones any more.
@@ -90,7 +88,7 @@ class Schedule:
         if node.guard.always or node.continuous:
             return self.end
         machine = isinstance(node.block, StateMachine)
-        used = node.drivers.values() if machine else inputs_of(node, node.trace.update.values())
+        used = switch_inputs(node) if machine else inputs_of(node, node.trace.update.values())
         read = [s for s in used if s in self.live]
         own = [s for s in node.outputs.values() if s in self.live]
         before: list[FlatSignal | Start] = [*read, *own, *node.starts]
@@ -111,15 +109,15 @@ class Schedule:
         for node in program.nodes:
             read((s for c in node.conditions for s in c.signals), self.end)
             if node not in self.machines:
-                if isinstance(node.block, StateMachine):  # whose switch reads all inputs where they are kept
-                    read(node.drivers.values(), self.end)
+                if isinstance(node.block, StateMachine):  # whose switch reads inputs where they are kept
+                    read(switch_inputs(node), self.end)
                 else:
                     read(inputs_of(node, node.trace.update.values()), self._updated.get(node, self.end))
         fixed: set[FlatSignal] = set()
         for k in reversed(range(self.end)):
             segment = self.segments[k]
-            if segment.behind is not None:
-                read(segment.behind.node.drivers.values(), k)
+            if segment.behind is not None and segment.behind.start is None:
+                read(switch_inputs(segment.behind.node), k)
             for action in reversed(segment.actions):
                 for s in reversed(action.signals):
                     home = self._home(s, k, sites[s], layout)
@@ -138,6 +136,13 @@ class Schedule:
         if home == at:
             return home
         return home if self.segments[at].guard.always and home < self.end else None
+
+
+def switch_inputs(node: Node) -> list[FlatSignal]:
+    """Return the signals that the switch of a state machine reads, without inputs of the program."""
+    assert isinstance(node.block, StateMachine)
+    read = inputs_of(node, node.block.graph.expressions)
+    return [s for s in dict.fromkeys(node.drivers.values()) if s in read and s.node is not None]
 
 
 def _integrated(program: FlatProgram) -> Iterator[FlatSignal]:

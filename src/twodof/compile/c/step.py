@@ -12,7 +12,7 @@ from twodof.compile.c.expressions import Leaves
 from twodof.compile.c.graph import leaf
 from twodof.compile.c.machine_switch import MachineSwitch
 from twodof.compile.c.operators import C_TYPES
-from twodof.compile.c.schedule import Schedule, Segment
+from twodof.compile.c.schedule import Schedule, Segment, switch_inputs
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import Assign, CNames, Copy, IfStatement, Statement, Text, name_of
 from twodof.compile.program.flat_program import Action, FlatSignal, Guard, Node
@@ -155,8 +155,7 @@ class StepEmitter:
         roots = [leaf(s) for s in fixed]
         behind = segment.behind
         if behind is not None and behind.start is None:
-            read = dict.fromkeys(behind.node.drivers.values())
-            roots += [leaf(s) for s in read if s.node is not None and s in self._pending]
+            roots += [leaf(s) for s in switch_inputs(behind.node) if s in self._pending]
         self.renderer.texts(roots)
         for s in fixed:
             if s in self.fractions:
