@@ -143,6 +143,7 @@ def test_pieces_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pieces, "LONGEST_SETUP", 6)
     monkeypatch.setattr(pieces, "PIECE", 4)
     cases = differential.cheap_cases(717, 8, 20)
+    cases += differential.random_cases([11_000_264, 11_000_204], 20)  # whose arrays are handed on
     programs = differential.emitted(cases, "float64", "rk4")
     assert " x = work->x;" in programs[0].source
     expected = [differential.reference_run(c, "float64", "rk4") for c in cases]

@@ -166,6 +166,9 @@ class _Pieces:
         for handed in (*before, *after):
             handed.role = "handed on"
         middle = [new for statement in body for new in own.get(statement, [statement])]
+        for statement in every(middle):
+            if (name := written(statement)) in self.handed and self.handed[name].size is not None:
+                statement.reads |= {name}  # by another piece
         return [*before, *middle, *after]
 
 
