@@ -1,10 +1,12 @@
 """Rights on parameters: every client changes those for tuning, only the lease holder the others."""
 
 from typing import Any
+from unittest.mock import Mock
 
 from tests.faults.virtual_time import on_virtual_time
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit
-from twodof.link.connection import Received
+from twodof.fcu.server import Peer
+from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import float_of_int, message
 from twodof.parameters import FLIGHT_PARAMETERS
@@ -22,7 +24,9 @@ def put(drone: VirtualDrone, system: int, **values: float) -> None:
 
 def hear(drone: VirtualDrone, system: int, sent: Any) -> None:
     (frame,) = Parser().feed(encode(sent, system, 190, 0))
-    assert any(service.handle(Received(decode(frame), frame, system)) for service in drone.assembly.px4.services)
+    unheard: Any = Mock(spec=Connection)
+    received = Received(decode(frame), frame, Peer(unheard, system))
+    assert any(service.handle(received) for service in drone.assembly.px4.services)
 
 
 ITS = {"target_system": 1, "target_component": 1}

@@ -207,7 +207,7 @@ def test_a_kill_in_lockstep_holds_until_released(there: OnBoard) -> None:
         drone.kill()
         assert (drone.state.armed, drone.state.killed) == (False, True)
         mine = drone.there.session.connection.system
-        with pytest.raises(Rejected, match=f"it was killed by system {mine}, component 190"):
+        with pytest.raises(Rejected, match=f"the drone was killed by system {mine}, component 190"):
             drone.set_pitch(0.05)
         drone.reset(rings=True)
         drone.run(0.5)

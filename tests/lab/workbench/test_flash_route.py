@@ -53,7 +53,7 @@ def test_only_rehearsed_diagrams_are_flashed(lab: ServedLab) -> None:
         status, sent = lab.call("POST", "diagrams/flash", flashed)
         assert status == 202
         status, refused = lab.call("POST", "diagrams/flash", flashed)
-        assert (status, refused["what"]) == (409, "another diagram is flashed there")
+        assert (status, refused["what"]) == (409, "another diagram is being flashed there")
         over(lab, lab.call("DELETE", f"jobs/{sent['id']}")[1], "cancelled")
     sent = lab.call("POST", "diagrams/flash", flashed)[1]
     for _ in patiently():
