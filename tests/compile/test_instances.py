@@ -56,7 +56,7 @@ def test_instances_refuse_values_of_another_number() -> None:
             two.run(4, {"u": np.ones((4, columns))})
         with pytest.raises(DiagramError, match=f"{columns} values for 2 instances"):
             two.set("part.gain", columns * [1.0])
-    with pytest.raises(DiagramError, match="-1 steps"):
+    with pytest.raises(DiagramError, match="-1 is not a possible number of steps"):
         two.skip(-1)
     with pytest.raises(DiagramError, match="0 instances"):
         Instances(program, 0)

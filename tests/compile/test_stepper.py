@@ -131,5 +131,5 @@ def test_what_is_refused_leaves_the_parameters() -> None:
         Rerun(lag(), U.size, {"u": U}, ["z"])
     with pytest.raises(DiagramError, match="no input"):
         Rerun(lag(), U.size, {"v": U}, ["y"])
-    with pytest.raises(DiagramError, match="values for 200 steps"):
+    with pytest.raises(DiagramError, match="for 200 steps"):
         Rerun(lag(), U.size, {"u": U[:-1]}, ["y"])

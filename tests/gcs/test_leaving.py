@@ -282,7 +282,7 @@ def test_a_kill_holds_until_it_is_released() -> None:
                     lambda: drone.set_velocity(0.1),
                     lambda: drone.excite(Doublet(0.1, 0.2, unit="rad")),
                 ):
-                    with pytest.raises(Rejected, match=r"it was killed .*release\(\)"):
+                    with pytest.raises(Rejected, match=r"the drone was killed .*release\(\)"):
                         await fly()
                 assert drone.setpoints.sent == sent
             assert peer.killed
@@ -292,7 +292,7 @@ def test_a_kill_holds_until_it_is_released() -> None:
                 await drone.set_pitch(0.1)
                 asyncio.get_running_loop().call_later(1.0, stop, peer)  # somebody else does
                 start = asyncio.get_running_loop().time()
-                with pytest.raises(Rejected, match="it was killed"):
+                with pytest.raises(Rejected, match="the drone was killed"):
                     await drone.run(10.0)
                 assert asyncio.get_running_loop().time() - start < 2.5
                 sent = drone.setpoints.sent

@@ -355,7 +355,8 @@ def check_base_rate(block: Block, rate: Rate, path: str) -> None:
     moving = any(s.continuous for s in block.states)
     if (moving or block.trace.edges) and rate != BASE:
         what = "continuous states" if moving else "an edge inside the step"
-        raise DiagramError(f"it has {what}, and runs at {tuple(rate)}", path, "let the block run at the base rate")
+        ticks = f"every {rate.divider} ticks from tick {rate.offset} on"
+        raise DiagramError(f"it has {what}, and runs {ticks}", path, "let the block run at the base rate")
 
 
 def told_values(part: Part) -> dict[str, dict[str, Any]]:

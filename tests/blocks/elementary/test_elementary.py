@@ -355,7 +355,7 @@ def test_on_expressions_a_call_is_recorded() -> None:
         functions.sin(leaf("input", "n", "int32"))
     v = leaf("input", "v", "real", 3)
     assert [e.args for e in functions.sin(v).args] == [(v[i],) for i in range(3)]
-    with pytest.raises(DiagramError, match="arrays of 3 and 2 meet"):
+    with pytest.raises(DiagramError, match="arrays of 3 and 2 are in one operation"):
         functions.atan2(v, leaf("input", "w", "real", 2))
 
 
