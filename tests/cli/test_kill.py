@@ -29,7 +29,7 @@ def test_kill_stops_another_pilots_drone(tmp_path: Path, capfd: pytest.CaptureFi
             assert run(["kill", "--url", url, "--key", str(file), "--json"]) == 0
             said = json.loads(capfd.readouterr().out)
             assert (said["was_armed"], said["held"]) == (True, True)
-            with pytest.raises(Rejected, match="it was killed"):
+            with pytest.raises(Rejected, match="the drone was killed"):
                 pilot.run(PATIENCE_S)  # what streams set-points is told so
             assert not pilot.state.armed
         # Leaving has disarmed it in the ordinary way, which released nothing: the same script again does not fly.
