@@ -205,7 +205,10 @@ def test_a_float32_run_rounds_after_every_operation() -> None:
         (lambda d: d.add("a", Gain()), r"loose\.?.*a\.u: the input is not connected|a\.u: the input is not connected"),
         (lambda d: d.output("y"), r"loose\.y: the output is not connected"),
         (lambda d: (d.input("n", "int32"), d.add("a", Gain(), u="n")), r"a\.u: it takes real and n is int32"),
-        (lambda d: d.add("a", Lag(), u=d.input("r"), rate=(2, 0)), r"a: it has continuous states, and runs every 2 ticks"),
+        (
+            lambda d: d.add("a", Lag(), u=d.input("r"), rate=(2, 0)),
+            r"a: it has continuous states, and runs every 2 ticks",
+        ),
     ],
 )
 def test_an_incomplete_diagram_is_refused_with_its_path(make: Callable[[Diagram], object], message: str) -> None:
