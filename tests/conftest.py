@@ -99,11 +99,17 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session")
-def flight_data() -> Path:
-    """Folder of the seven real flight logs; skips, saying so, where they are not at hand."""
+def log_folder() -> Path | None:
+    """Folder of the seven real flight logs, or None where they are not at hand."""
     named = os.environ.get("TWODOF_FLIGHT_DATA")
     folders = [Path(named)] if named else [PROJECT / "../shared/flight-data", cache_folder()]
-    for folder in folders:
-        if all((folder / f"{name}.mat").is_file() for name in PUBLIC_LOGS):
-            return folder
-    pytest.skip("no real flight logs: fetch them by `twodof log fetch`, or set TWODOF_FLIGHT_DATA to their folder")
+    there = (folder.resolve() for folder in folders if all((folder / f"{name}.mat").is_file() for name in PUBLIC_LOGS))
+    return next(there, None)
+
+
+@pytest.fixture(scope="session")
+def flight_data(log_folder: Path | None) -> Path:
+    """Folder of the seven real flight logs; skips, saying so, where they are not at hand."""
+    if log_folder is None:
+        pytest.skip("no real flight logs: fetch them by `twodof log fetch`, or set TWODOF_FLIGHT_DATA to their folder")
+    return log_folder

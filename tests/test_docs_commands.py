@@ -19,9 +19,9 @@ SAME = "fly-an-experiment.md"
     "page",
     [pytest.param(page, id=page.name, marks=[pytest.mark.soak] if page.name == SAME else []) for page in PAGES],
 )
-def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path) -> None:
+def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path, log_folder: Path | None) -> None:
     """Each page, the tutorials among them: from an empty folder, in its order, with the files that it has one save."""
-    results = list(run_page(page.read_text(encoding="utf-8"), tmp_path))
+    results = list(run_page(page.read_text(encoding="utf-8"), tmp_path, log_folder))
     assert results
     for command, status, output in results:
         assert (status != 0) == command.refused, output
@@ -29,11 +29,10 @@ def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path) -> N
         assert not_printed == [], f"{command.line}: run `python tools/console.py`, or correct the page"
 
 
-def test_commands_without_their_logs_are_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TWODOF_FLIGHT_DATA", str(tmp_path / "nothing"))
+def test_commands_without_their_logs_are_skipped(tmp_path: Path) -> None:
     lines = ["log convert $LOGS/a.mat b.mcap", "log convert b.mcap c.csv", "--version", "log info c.csv"]
     text = "```console\n" + "".join(f"$ twodof {line}\n" for line in lines) + "```\n"
-    assert [command.line for command, _, _ in run_page(text, tmp_path)] == ["twodof --version"]
+    assert [command.line for command, _, _ in run_page(text, tmp_path, None)] == ["twodof --version"]
 
 
 def test_a_line_that_is_not_printed_is_found() -> None:

@@ -63,13 +63,13 @@ def save_files(text: str, folder: Path) -> None:
         (folder / name).write_text(content, encoding="utf-8")
 
 
-def run_page(text: str, folder: Path) -> Iterator[tuple[Command, int, str]]:
-    """Run a page's commands in `folder`, with the page's files; yield each with its exit status and output."""
+def run_page(text: str, folder: Path, logs: Path | None) -> Iterator[tuple[Command, int, str]]:
+    """Run a page's commands in `folder`, with the page's files; yield each with its exit status and output.
+
+    `logs` is the folder of the real flight logs; without it the commands that need them are left out.
+    """
     save_files(text, folder)
-    named = os.environ.get("TWODOF_FLIGHT_DATA")
-    folders = [Path(named)] if named else [PROJECT / "../shared/flight-data", cache_folder()]
-    logs = next((folder for folder in folders if folder.is_dir()), folders[0]).resolve()
-    missing = set() if logs.is_dir() else {"$LOGS"}
+    missing = {"$LOGS"} if logs is None else set()
     for command in commands(text):
         named = set(re.findall(r"\$LOGS|[\w-]+\.[a-z]\w+", command.line))
         if named & missing:
@@ -78,7 +78,7 @@ def run_page(text: str, folder: Path) -> Iterator[tuple[Command, int, str]]:
             yield command, *run(command, folder, logs)
 
 
-def run(command: Command, folder: Path, logs: Path) -> tuple[int, str]:
+def run(command: Command, folder: Path, logs: Path | None) -> tuple[int, str]:
     """Return exit status and output of a command run in `folder`."""
     program, *arguments = shlex.split(command.line.replace("$LOGS", str(logs)))
     if program == "twodof":
@@ -117,8 +117,9 @@ def words(line: str) -> list[str]:
 
 def refreshed(text: str) -> str:
     """A page's text with the numbers that its commands print now."""
+    logs = Path(os.environ.get("TWODOF_FLIGHT_DATA") or cache_folder()).resolve()
     with tempfile.TemporaryDirectory() as folder:
-        for command, _, output in run_page(text, Path(folder)):
+        for command, _, output in run_page(text, Path(folder), logs if logs.is_dir() else None):
             if command.shown:
                 now = [(other or line).rstrip() for line, other in paired(command.shown, output)]
                 text = text.replace(

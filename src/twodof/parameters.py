@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from twodof.errors import ParameterError, outside
+from twodof.errors import ParameterError, is_number, outside
 
 NAME_LENGTH = 16
 _VERSION = 1
@@ -250,7 +250,7 @@ PRESETS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 
 def float32_decimal(value: float) -> float:
     """Return the shortest decimal number with the same float32 as `value`; NaN and infinities unchanged."""
-    if isinstance(value, bool) or not isinstance(value, Real) or abs(value) > 3e38 or not isfinite(value):
+    if not is_number(value, -3e38, 3e38):
         return value
     return float(str(np.float32(value)))
 

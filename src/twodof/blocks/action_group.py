@@ -125,7 +125,7 @@ def resettable_integrator(
 
     It must run at the base rate. With `reset` there is a bool input `clear`, which resets y at each tick at which it is
     true ("level"), or at its edges ("rising", "falling" or "either"; the first tick has none). Then y becomes the
-    initial value before the outputs are computed, and is integrated from there. With "none" there is no input `clear`.
+    initial value before the outputs are computed, and is integrated from there. With "none" it lacks the input `clear`.
     The output y depends on `clear` and `x0` in the same tick, so a loop through them needs a delay. Raises DiagramError
     for an unknown `reset` or invalid `limits`.
     """

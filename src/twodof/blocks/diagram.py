@@ -446,7 +446,7 @@ def carried(item: Block | Diagram, output: str) -> Port | None:
 
 
 def carried_fields(item: Block | Diagram, output: str) -> dict[str, Port]:
-    """Return the ports an output comes from, by field "rates.p", or "" if it is no bus; empty without a source."""
+    """Return the ports an output comes from, by field "rates.p", or "" if it is not a bus; empty without a source."""
     for _ in range(64):
         if isinstance(item, Block):
             return fields_of(item.outputs, output)

@@ -287,7 +287,7 @@ class Promise:
         """Return all steps by `goal`, up or down, that `log` holds: (time from the step, the channels).
 
         Each record is shifted and, if need be, inverted to a step up from 0. It begins half a second before the step.
-        Raise ParameterError if there is no step of that size, LogError if channels are missing.
+        Raise ParameterError if the log lacks a step of that size, LogError if it lacks channels.
         """
         step, end, found = self.step, self.time[-1], []
         grid = np.asarray(np.arange(-TRIM, len(self.time)) * PERIOD, dtype=np.float64)

@@ -169,7 +169,7 @@ def read_specification(path: str | Path, table: str = "pitch") -> Specification:
 
 @dataclass(frozen=True)
 class Requirement:
-    """One required figure: the controller has `got`, which is to be at least `asked`, or at most if `at_most`."""
+    """One required figure: the controller has `got`, which must be at least `asked`, or at most if `at_most`."""
 
     name: str
     asked: float

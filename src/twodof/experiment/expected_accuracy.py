@@ -116,7 +116,7 @@ class ExpectedAccuracy:
     """Cramer-Rao bound of a planned flight (`information`), and its `motion` on the virtual rig without noise.
 
     `motion` has `time` [s], `theta` [rad] and `x` [m] from the excitation's start on; `pitch` and `rail` are the shares
-    of the pitch stop and of the rail that it uses. `remark` says why there is no information, "" if there is. `worse`
+    of the pitch stop and of the rail that it uses. `remark` says why the information is missing, else "". `worse`
     is the ratio of the wanted standard deviations to those with white sensor noise alone.
     """
 

@@ -32,7 +32,7 @@ class Experiment:
 
     `mode` names the loop that `excitation` enters, a key of `SETPOINT`. With `rings` the cart is locked (1DoF), and the
     hold is level: it finds the trim moment to which an open-loop excitation is added. Without `rings` the hold keeps
-    the start's position. At `thrust` 0 there is no hold, and only the excitation turns the motors. Raises
+    the start's position. At `thrust` 0 the hold is left out, and only the excitation turns the motors. Raises
     ExperimentError for an excitation in another unit than the loop's, and for a value out of bounds.
     """
 

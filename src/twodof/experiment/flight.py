@@ -5,7 +5,6 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from twodof.blocks import Diagram
 from twodof.blocks.noise import SEEDS
 from twodof.blocks.schema.json_form import to_json
-from twodof.errors import ExperimentError, ParameterError
+from twodof.errors import ExperimentError, ParameterError, is_number
 from twodof.experiment.experiments import EXPERIMENTS, SETPOINT, Experiment, Script, script
 from twodof.experiment.experiments import experiment as named_experiment
 from twodof.flight.gains import DEFAULT, Gains, load_gains
@@ -200,7 +199,7 @@ class Laboratory:
         precision: str = "float64",
         failsafe: bool = False,
     ) -> None:
-        if not (isinstance(noise, Real) and math.isfinite(noise) and noise >= 0.0):
+        if not is_number(noise, 0.0):
             raise ParameterError(
                 f"{noise!r:.80} is not a factor of the noise", "noise", "give 0 (none) or more; 1 is the rig's own"
             )
@@ -341,7 +340,7 @@ def flight_log(out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32], provena
 
 
 def _checked_seed(seed: int) -> int:
-    if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
+    if not is_number(seed, 0, SEEDS - 1, whole=True):
         raise ExperimentError(
             f"seed must be an integer 0 to {SEEDS - 1}, not {seed!r:.80}", "experiment", "give another seed"
         )

@@ -28,7 +28,7 @@ _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 def decode_mat(data: bytes, where: str, time: str = "") -> FlightLog:
     """Return the log in the bytes of a .mat file. Channels that TOPICS does not know are kept, without a unit.
 
-    `time` names a vector of time stamps [s], if the file is no such log: its vectors of that length become channels.
+    `time` names a vector of time stamps [s], if the file is not such a log: its vectors of that length become channels.
 
     Raises LogError for a file that is truncated, foreign or damaged and for channels that Channel refuses. Variables
     that are not channels are named in provenance["ignored"].

@@ -10,13 +10,12 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import count
-from math import isfinite
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from twodof.errors import ParameterError, Rejected, Timeout, listed, shown
+from twodof.errors import ParameterError, Rejected, Timeout, is_number, listed, shown
 from twodof.gcs.drone_state import StatusTexts, words_of
 from twodof.gcs.files import AsyncFiles
 from twodof.gcs.session import Deadline, DroneSession
@@ -100,7 +99,7 @@ def _described(row: Any) -> ParameterDescription:
 def checked(entry: ParameterEntry, value: float) -> float:
     """Return `value` if the parameter can have it. Raises ParameterError."""
     row = entry.row
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+    if not is_number(value):
         raise ParameterError(f"{shown(value)} is not a number", entry.name, "give a finite one; nothing was changed")
     if entry.kind not in (INT32, REAL32):
         what = f"has the MAV_PARAM_TYPE {entry.kind}, which cannot be set from here"

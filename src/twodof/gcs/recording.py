@@ -254,7 +254,7 @@ def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
 def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list[Topic]:
     """Return the TOPICS to record; None is all, with the true state if `truth`. Raises LogError for an unknown one.
 
-    If the drone is no twodof drone (`ours` False), only topics in messages of `common` exist.
+    If the drone is not a twodof drone (`ours` False), only topics in messages of `common` exist.
     """
     if topics is None:
         return [row for row in TOPICS if (row.onboard or truth) and (ours or not row.mavlink.startswith("TWODOF_"))]

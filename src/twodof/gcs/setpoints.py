@@ -7,9 +7,9 @@ ends with its process: then the drone's failsafe acts.
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress
-from math import ceil, degrees, isfinite, pi
+from math import ceil, degrees, pi
 
-from twodof.errors import LinkLost, ParameterError, RefusalReason, Rejected, shown
+from twodof.errors import LinkLost, ParameterError, RefusalReason, Rejected, is_number, shown
 from twodof.gcs.clock import SETPOINT_TICKS, DroneClock, SliceStarts
 from twodof.gcs.commands import CommandSender
 from twodof.gcs.drone_state import StateTracker
@@ -95,7 +95,7 @@ def _within(name: str, value: float, most: float, unit: str) -> float:
 
 
 def _number(name: str, value: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+    if not is_number(value):
         remedy = "give a finite number; nothing was sent"
         raise ParameterError(f"{name} = {shown(value)} is not a finite number", "set-point", remedy)
     return float(value)

@@ -1,7 +1,7 @@
 """Problem: the least squares of a fit, with the unknowns in x, residuals, Jacobian, prior and band."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -237,12 +237,11 @@ def _joined(parts: Sequence[Array]) -> Array:
 
 
 def number_pair(given: Any) -> tuple[float, float]:
-    """Return two numbers as they are given, or NaN twice for anything else."""
-    try:
-        first, second = (float(one) for one in given)
-    except (TypeError, ValueError):
+    """Return two numbers, which may be infinite, as they are given, or NaN twice for anything else."""
+    pair = tuple(given) if isinstance(given, Iterable) else ()
+    if len(pair) != 2 or not all(is_number(one, -math.inf, math.inf) for one in pair):
         return math.nan, math.nan
-    return first, second
+    return float(pair[0]), float(pair[1])
 
 
 def _checked_bounds(bounds: Mapping[str, Sequence[float]], structure: Structure) -> dict[str, tuple[float, float]]:

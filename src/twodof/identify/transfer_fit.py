@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import IdentificationError, is_number, nearest, shown
 from twodof.identify.frequency_response import FrequencyResponse
+from twodof.identify.problem import number_pair
 from twodof.identify.validate import deviations
 
 Array = NDArray[np.float64]
@@ -203,8 +204,8 @@ def fit_transfer(
     if not isinstance(response, FrequencyResponse):
         remedy = "call frequency_response first"
         raise IdentificationError(f"{shown(response)} is not a frequency response", "fit_transfer", remedy)
-    ends = (0.0, math.inf) if band is None else band
-    if not isinstance(ends, Sequence) or len(ends) != 2 or not all(is_number(end, high=math.inf) for end in ends):
+    low, high = (0.0, math.inf) if band is None else number_pair(band)
+    if not low <= high:
         raise IdentificationError(f"the band is {shown(band)}", "fit_transfer", "give (from, to) in rad/s")
     orders = (numerator, denominator)
     for what, order, low in (
@@ -224,7 +225,7 @@ def fit_transfer(
     labels = tuple(name for name in names if name not in fixed)
     if not labels:
         raise IdentificationError("every coefficient is held", "values", "leave one of them out")
-    use = response.trusted(coherence) & (response.omega >= ends[0]) & (response.omega <= ends[1])
+    use = response.trusted(coherence) & (response.omega >= low) & (response.omega <= high)
     use &= np.isfinite(response.sigma) & (abs(response.response) > 0.0)
     if 2 * np.count_nonzero(use) <= len(labels):
         raise IdentificationError(

@@ -194,7 +194,7 @@ def judge(
 ) -> dict[str, Any]:
     """Judge the pitch law with `changes` on the `family`; with a `goal` [rad] add the preview of the page.
 
-    `touches` is True if the changes affect the law; if it is False and there is no goal, there is no verdict.
+    `touches` is True if the changes affect the law; if it is False and `goal` is None, the verdict is missing.
     `unstable` is True if a sampled drone, or one that the search found, is unstable.
     """
     before, after = PitchLaw.flown(values, diagram, paths), PitchLaw.flown({**values, **changes}, diagram, paths)

@@ -72,7 +72,7 @@ class RoundTrips:
             del self._asked[next(iter(self._asked))]
 
     def answered(self, token: int, now: float, theirs: float | None = None) -> float | None:
-        """Return the round trip [s] of the answer to request `token` at `now` [s]; None if there is no such request.
+        """Return the round trip [s] of the answer to request `token` at `now` [s]; None for an unknown request.
 
         `theirs` is the other clock in the answer [s].
         """

@@ -157,7 +157,7 @@ class VirtualRig:
         self._look()
 
     def stop(self) -> None:
-        """Stop both rotor pairs until `release`, whatever `drive` commands. May be called from any thread."""
+        """Stop both rotor pairs until `release`, against all that `drive` commands. May be called from any thread."""
         self._stopped = True
 
     def release(self) -> None:

@@ -3,7 +3,6 @@
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -26,7 +25,7 @@ from twodof.compile.diagram_test.scenario import (
     read_table,
     table_of_rows,
 )
-from twodof.errors import DiagramError, listed, shown
+from twodof.errors import DiagramError, listed, nearest, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +115,7 @@ def _read(model: type[M], given: Any, where: str) -> M:
         if wrong["type"] == "missing":
             what, remedy = "it is missing", f"keys: {listed(keys)}"
         elif wrong["type"] == "extra_forbidden":
-            near = get_close_matches(place[:200], keys, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            what, remedy = "there is no such key", f"{hint}keys: {listed(keys)}"
+            what, remedy = "there is no such key", f"keys: {nearest(place, keys)}"
         raise DiagramError(what, f"{where}, {place:.200}", remedy) from error
 
 

@@ -53,7 +53,7 @@ class IntegerStates:
     def settle(self, step: Callable[[], TangentStep]) -> None:
         """Run each node's integer and bool states, everything else held, until they settle or repeat; leave them there.
 
-        States given with `at` do not move. Raises DiagramError for states that neither settle nor repeat.
+        States given with `at` do not move. Raises DiagramError for states that do not settle or repeat.
         """
         for _ in range(MAX_SWEEPS):
             self.cycles = {}

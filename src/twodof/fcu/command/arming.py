@@ -41,7 +41,7 @@ class ArmingControl:
 
     @property
     def pending(self) -> bool:
-        """Return whether the failsafe has not answered a request to arm yet."""
+        """Return whether a request to arm still waits for the answer of the failsafe."""
         return self.answer.in_progress
 
     @property
@@ -78,7 +78,7 @@ class ArmingControl:
         return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
 
     def disarm(self, source: Source) -> CommandResult:
-        """Stop the motors in the next tick, whatever the source: on this rig that is the safe state."""
+        """Stop the motors in the next tick, on request of any source: on this rig that is the safe state."""
         if self.lease.holder == source:
             self.lease.take(source)  # which renews it
         self.withdraw()
@@ -86,7 +86,7 @@ class ArmingControl:
         return DONE
 
     def kill(self, source: Source) -> CommandResult:
-        """Stop the motors in the next tick, whatever the source, and keep the drone disarmed until `release`."""
+        """Stop the motors in the next tick, on request of any source, and keep the drone disarmed until `release`."""
         self.killed_by = source
         self.withdraw()
         self.setpoints.rest("killed", self._vehicle.now)

@@ -32,7 +32,7 @@ class BackgroundWorker:
     program: `done` gets an OSError, so that the client is answered, and `poll` (with `inline`, `submit`) raises the
     exception. That ends the program with the motors off, like a fault of any service.
 
-    With `inline` a job runs at once: in lockstep there is no clock to keep up with, and ticks may stand still.
+    With `inline` a job runs at once: in lockstep ticks may wait, as time does.
     """
 
     def __init__(self, inline: bool = False) -> None:

@@ -255,7 +255,7 @@ class TelemetryEncoders:
         self._encoders[message_id(name)] = encode
 
     def message(self, number: int) -> Any | None:
-        """Return the message with this id and the present values; None if there is no measurement for it yet."""
+        """Return the message with this id and the present values; None without a measurement for it yet."""
         return self._encoders[number]()
 
     def restart(self) -> None:

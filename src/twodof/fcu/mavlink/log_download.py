@@ -62,7 +62,7 @@ class LogDownload(Service):
         self._data.pop(peer, None)
 
     def _start(self, peer: Hashable) -> None:
-        """Send a client the list entries and data that it has not got yet, the list first."""
+        """Send a client the list entries and data that it still waits for, the list first."""
         self._sender.start(peer, chain(self._entries.get(peer, ()), self._data.get(peer, ())))
 
     def _list(self, received: Received) -> None:

@@ -59,7 +59,7 @@ class SetpointService(Service):
         self._told.clear()
 
     def _may_tell(self, sender: Source) -> bool:
-        """Return whether this sender may get a text: neither it nor too many others have got one lately."""
+        """Return whether this sender may get a text: not if it, or too many others, got one lately."""
         while self._told and self._tick - next(iter(self._told.values())) >= TOLD_TICKS:
             self._told.popitem(last=False)
         if sender in self._told or len(self._told) >= MOST_TOLD:

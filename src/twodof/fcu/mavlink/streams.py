@@ -51,7 +51,7 @@ FLAG_TICKS = 25
 
 
 class ChangeDetector:
-    """Detector of changes from step to step that are to be sent at once."""
+    """Detector of changes from step to step that must be sent at once."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._controller = vehicle.controller
@@ -84,7 +84,7 @@ class StreamService(Service):
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
     `profile` gives the default rates of a client (`link.mavlink.dialect.PROFILES`); twodof's own messages are sent only
-    to clients that know them. A sensor's message is left out if there is no new sample since the stream was due last.
+    to clients that know them. A sensor's message is left out without a new sample since the stream was due last.
     """
 
     def __init__(

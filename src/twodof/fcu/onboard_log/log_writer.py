@@ -229,7 +229,7 @@ class LogWriter:
         self._tick = int(rows["tick"][-1])
 
     def _wanted(self, armed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a flag for each of the next steps (n,): True if it is to be logged."""
+        """Return a flag for each of the next steps (n,): True if the log takes it."""
         index = np.arange(len(armed))
         last = np.maximum.accumulate(np.where(armed, index, -1))
         since = np.where(last >= 0, index - last, index + 1 + self._since_armed)

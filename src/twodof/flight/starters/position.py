@@ -115,7 +115,7 @@ def stock_motor() -> Diagram:
 def direct_motor(gains: Gains = DEFAULT) -> Diagram:
     """Return attitude and rate loops that command the motors, from the raw gyro.
 
-    It follows theta_0 or q_0, whichever is in use, and M_0 in open loop. The moment is limited to +-.5. The thrust is
+    It follows theta_0 or q_0, as the mode says, and M_0 in open loop. The moment is limited to +-.5. The thrust is
     reduced or raised so that no motor's command is above 1 or below 0.
     """
     d = with_ports(MOTOR, "direct_motor", "attitude P, rate PID on the gyro, and a mixer that keeps the moment")

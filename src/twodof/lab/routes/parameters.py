@@ -54,14 +54,14 @@ async def change(lab: CurrentLab, one: NamedDrone, changes: Changes, confirm: Co
 async def undo(lab: CurrentLab, one: NamedDrone, confirm: Confirmed = "") -> dict[str, Any]:
     """Undo the last change by this server; return each value before and now. The model guards this like a change.
 
-    409 if there is no change, or if another client has changed the same parameters since. 409 also for gains that the
-    model does not keep stable, until `confirm` has their token.
+    409 without a change to undo, or if another client has changed the same parameters since. 409 also for gains that
+    the model does not keep stable, until `confirm` has their token.
     """
     parameters = one.connection.drone.parameters
     judged = parameters.last
     await lab.guard.check(one, judged.before, confirm)
     if parameters.last is not judged:
-        raise Rejected("another change was made meanwhile", f"drone {one.number}", "look at it, then undo again")
+        raise Rejected("another change came before the undo", f"drone {one.number}", "look at it, then undo again")
     return _changed(await parameters.undo())
 
 
@@ -212,7 +212,7 @@ async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict
     """Preview the pitch law with `changes`: margins, band of step responses, figures and verdict.
 
     `touches` is True if the changes affect the law; `parameters` are those that can. `confirm` is the token for an
-    unstable change. `why` has the reason if there is no preview, as for a law without a linear model, else "".
+    unstable change. `why` has the reason if the preview is missing, as for a law without a linear model, else "".
     """
     name = asked.model or lab.models.chosen(one.number)
     if name is None:
