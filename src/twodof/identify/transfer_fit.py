@@ -208,13 +208,13 @@ def fit_transfer(
     if not low <= high:
         raise IdentificationError(f"the band is {shown(band)}", "fit_transfer", "give (from, to) in rad/s")
     orders = (numerator, denominator)
-    for what, order, low in (
+    for what, order, least in (
         ("numerator's order", numerator, 0),
         ("denominator's order", denominator, 0),
         ("power of s", power, -MAX_ORDER),
     ):
-        if not is_number(order, low, MAX_ORDER, whole=True):
-            raise IdentificationError(f"the {what} is {shown(order)}", "fit_transfer", f"give {low} to {MAX_ORDER}")
+        if not is_number(order, least, MAX_ORDER, whole=True):
+            raise IdentificationError(f"the {what} is {shown(order)}", "fit_transfer", f"give {least} to {MAX_ORDER}")
     names = (*(f"b{i}" for i in range(numerator + 1)), *(f"a{i}" for i in range(denominator)), "tau")
     fixed = {**({} if dead_time else {"tau": 0.0}), **(values or {})}
     for name, value in fixed.items():

@@ -77,7 +77,7 @@ def test_undo_takes_back_the_judged_change_only() -> None:
                 await drone.parameters.update({"ATT_KP": 10.0})
 
             one = SimpleNamespace(number=1, connection=SimpleNamespace(drone=drone))
-            with pytest.raises(Rejected, match="another change was made meanwhile"):
+            with pytest.raises(Rejected, match="another change came before the undo"):
                 await undo(SimpleNamespace(guard=SimpleNamespace(check=check)), one)
             assert peer.parameters["ATT_KP"] == 10.0
 
