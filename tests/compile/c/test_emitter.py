@@ -240,6 +240,13 @@ def test_the_c_is_readable() -> None:
     assert max(map(len, source.splitlines())) < 260
 
 
+def test_outputs_and_next_states_share_their_terms() -> None:
+    source = emit_program(starter("stock-attitude"), 0.004, "float32").source
+    step = source[source.index("void stock_attitude_advance(") :]
+    for once in ("u->FLAG_RESET_INT", "s->rate_slope +", "s->rate_error)", "- s->rate_carry"):
+        assert step.count(once) == 1, once
+
+
 def test_a_users_text_cannot_leave_its_comment() -> None:
     hostile = Diagram("hostile", "*/ int main(void); /* ??/ \n #include")
     hostile.input("u", unit='"*/\\')

@@ -257,7 +257,9 @@ class Renderer:
     def _found(self, batch: Batch, item: Expr) -> Text:
         driver = self._driver(item)
         if driver is not None:
-            return self._signal(item, driver, batch.texts[id(driver)])
+            found = self._signal(item, driver, batch.texts[id(driver)])
+            batch.texts[id(driver)] = self.named.get(id(driver), batch.texts[id(driver)])
+            return found
         args = [batch.texts[id(a)] for a in self._args(item)][: len(item.outside)]
         if item.op in ("vector", "build", "store", "fold"):
             return self.know(item, self._statement(item, args))

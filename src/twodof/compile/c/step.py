@@ -153,6 +153,13 @@ class StepEmitter:
         """Add the outputs of a segment, then what stands behind them."""
         fixed = [s for a in segment.actions for s in a.signals if s in self.schedule.fixed]
         roots = [leaf(s) for s in fixed]
+        # What outputs and next states share is computed once, in one branch.
+        updated = segment.updates
+        if segment is self.schedule.segments[-1] and segment.guard.always:
+            updated = [node for node in self.schedule.last if node.guard.always]
+        roots += [
+            e for node in updated if not self._idle_machine(node) for row in self._changes(node) for e in row.numbers
+        ]
         behind = segment.behind
         if behind is not None and behind.start is None:
             roots += [leaf(s) for s in switch_inputs(behind.node) if s in self._pending]
@@ -217,13 +224,20 @@ class StepEmitter:
     def _updates(self, nodes: Sequence[Node]) -> None:
         rows: list[StateChange] = []
         for node in nodes:
-            idle = not any(s in self.schedule.live for s in node.outputs.values())
-            if isinstance(node.block, StateMachine) and idle and self.schedule.ready(node):
+            if self._idle_machine(node):
                 self._switch(node, ())
             else:
-                values = {name: self.graph.of(node, e) for name, e in node.trace.update.items()}
-                rows += changed(node, values, partial(self.scope.state, node))
+                rows += self._changes(node)
         commit(self.renderer, rows)
+
+    def _idle_machine(self, node: Node) -> bool:
+        """Return True if a node is a state machine whose outputs nobody reads, and whose inputs are at hand."""
+        used = any(s in self.schedule.live for s in node.outputs.values())
+        return isinstance(node.block, StateMachine) and not used and self.schedule.ready(node)
+
+    def _changes(self, node: Node) -> list[StateChange]:
+        values = {name: self.graph.of(node, e) for name, e in node.trace.update.items()}
+        return changed(node, values, partial(self.scope.state, node))
 
     def returned(self) -> None:
         """Add the stores of outputs and logged signals in Y."""
