@@ -29,25 +29,29 @@ def held(system: signal.lti, u: np.ndarray, start: np.ndarray | None = None) -> 
         ([358.5], [1.0, 0.575, 11.81]),
         ([1.0, 2.0, 3.0], [1.0, 1.5, 7.0]),
         ([1.0, 0.5], [2.0, 3.0, 8.0, 4.0]),
+        ([0.0, 3.0], [4.0, 5.0]),
+        ([0.0, 0.0, 1.0, 0.5], [2.0, 3.0, 8.0]),
     ],
 )
 def test_a_transfer_function_is_lsim(top: list[float], bottom: list[float]) -> None:
     u = noise(STEPS)
     block = TransferFunction(top, bottom)
-    assert_close(run_y(block, u, DT), held(signal.lti(top, bottom), u), RK4)
-    assert bool(block.trace.feedthrough["y"]) == (len(top) == len(bottom))
+    proper = np.trim_zeros(top, "f") or [0.0]
+    assert_close(run_y(block, u, DT), held(signal.lti(proper, bottom), u), RK4)
+    assert bool(block.trace.feedthrough["y"]) == (len(proper) == len(bottom))
 
 
-@pytest.mark.parametrize("direct", [True, False])
-def test_a_state_space_is_lsim(direct: bool) -> None:
+@pytest.mark.parametrize("direct", [True, False, None])
+def test_a_state_space_is_lsim(direct: bool | None) -> None:
     rng = np.random.default_rng(5)
     A = np.array([[-1.0, 2.0, 0.0], [-2.0, -1.0, 1.0], [0.0, 0.5, -3.0]])
     B, C = rng.standard_normal((3, 2)), rng.standard_normal((2, 3))
     D = rng.standard_normal((2, 2)) if direct else np.zeros((2, 2))
     start = np.array([1.0, -1.0, 0.5])
     u = noise(2 * STEPS).reshape(STEPS, 2)
-    block = StateSpace(A.tolist(), B.tolist(), C.tolist(), D.tolist() if direct else None, start.tolist())
+    block = StateSpace(A.tolist(), B.tolist(), C.tolist(), None if direct is None else D.tolist(), start.tolist())
     assert_close(run_y(block, u, DT), held(signal.lti(A, B, C, D), u, start), RK4)
+    assert bool(block.trace.feedthrough["y"]) == bool(direct)
 
 
 def test_a_first_order_lag_is_an_exponential() -> None:

@@ -103,24 +103,27 @@ def test_a_transfer_function_is_dlsim(numerator: list[float], denominator: list[
     padded = [0.0] * (len(bottom) - len(top)) + top
     expected = signal.lfilter(padded, bottom, u)
     assert_close(run_y(block, u), expected)
-    assert bool(block.trace.feedthrough["y"]) == (len(top) == len(bottom))
+    assert bool(block.trace.feedthrough["y"]) == (len(np.trim_zeros(top, "f") or [0.0]) == len(bottom))
+    delayed = DiscreteFilter([0.0, *numerator], bottom)
+    assert_close(run_y(delayed, u), signal.lfilter([0.0, *numerator], bottom, u))
+    assert not delayed.trace.feedthrough["y"]
 
 
-@pytest.mark.parametrize(("inputs", "outputs", "direct"), [(1, 1, True), (2, 3, True), (3, 1, False), (1, 2, False)])
-def test_a_state_space_is_dlsim(inputs: int, outputs: int, direct: bool) -> None:
+@pytest.mark.parametrize(("inputs", "outputs", "direct"), [(1, 1, True), (2, 3, True), (3, 1, False), (1, 2, None)])
+def test_a_state_space_is_dlsim(inputs: int, outputs: int, direct: bool | None) -> None:
     rng = np.random.default_rng(inputs + 10 * outputs)
     A = rng.uniform(-0.4, 0.4, (4, 4))
     B, C = rng.standard_normal((4, inputs)), rng.standard_normal((outputs, 4))
     D = rng.standard_normal((outputs, inputs)) if direct else np.zeros((outputs, inputs))
     start = rng.standard_normal(4)
     block = DiscreteStateSpace(
-        A.tolist(), B.tolist(), C.tolist(), D.tolist() if direct else None, initial=start.tolist()
+        A.tolist(), B.tolist(), C.tolist(), None if direct is None else D.tolist(), initial=start.tolist()
     )
     u = noise(60 * inputs).reshape(60, inputs)
     _, expected, _ = signal.dlsim((A, B, C, D, DT), u, x0=start)
     y = run_y(block, u[:, 0] if inputs == 1 else u, DT)
     assert_close(y.reshape(60, outputs), expected)
-    assert bool(block.trace.feedthrough["y"]) == direct
+    assert bool(block.trace.feedthrough["y"]) == bool(direct)
 
 
 def test_a_moving_average_is_a_convolution() -> None:

@@ -183,6 +183,7 @@ class TransferFunction(OneOutput):
     All coefficients are divided by the denominator's first, which leaves s^n + a1 s^(n-1) + ... + an. The states have
     the controllable canonical form: x_i' = x_(i+1), x_n' = u - an x_1 - ... - a1 x_n.
     Output: y = c_1 x_1 + ... + c_n x_n + d u. `initial` is x_1 .. x_n (one number fills all). Order 64 at most.
+    Zeros that the numerator begins with are left out.
     """
 
     def __init__(
@@ -230,8 +231,8 @@ class TransferFunction(OneOutput):
 class StateSpace(LinearStateSpace):
     """x' = A x + B u, y = C x + D u, from `initial`.
 
-    A, B, C and D are lists of rows (D None: no feed-through). One input or output is a scalar port, more are an array.
-    Their elements are parameters of the same names, row after row.
+    A, B, C and D are lists of rows. One input or output is a scalar port, more are an array. The elements are
+    parameters of the same names, row after row. D of zeros, or None: no feed-through, and no parameter D.
     """
 
     def __init__(

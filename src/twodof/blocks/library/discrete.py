@@ -138,9 +138,19 @@ class DiscreteDerivative(OneOutput):
         return u.u
 
 
+def leading_zeros(numerator: list[float]) -> int:
+    """Return how many zeros the numerator begins with, the last coefficient not counted."""
+    return next((i for i, value in enumerate(numerator) if value), len(numerator) - 1)
+
+
 def quotient(numerator: Any, denominator: Any, least: int = 1, proper: bool = True) -> tuple[list[float], list[float]]:
-    """Return the coefficients of a transfer function as lists. Raises DiagramError if they do not define one."""
+    """Return the coefficients of a transfer function as lists, the numerator without the zeros that it begins with.
+
+    Raises DiagramError if they do not define a transfer function.
+    """
     top, bottom = reals(numerator, "numerator"), reals(denominator, "denominator", least)
+    if proper:
+        top = top[leading_zeros(top) :]
     if proper and len(top) > len(bottom):
         raise DiagramError(
             "the numerator's degree is above the denominator's", "", "a proper transfer function can be computed"
@@ -200,7 +210,8 @@ class DiscreteFilter(_Rational):
     """H(z) = (b0 + b1 z^-1 + ...) / (a0 + a1 z^-1 + ...), `numerator` b and `denominator` a, as scipy.signal.lfilter.
 
     Transposed direct form II: y = b0 u + s1, s_i' = b_i u - a_i y + s_(i+1), coefficients divided by a0;
-    `initial` s1 .. sn (one number fills all), n the larger order. Order 64 at most.
+    `initial` s1 .. sn (one number fills all), n the larger order. Order 64 at most. A numerator that begins with zeros
+    gives no feed-through; they are not elements of the parameter.
     """
 
     def __init__(
@@ -211,7 +222,8 @@ class DiscreteFilter(_Rational):
         unit: str = "",
     ) -> None:
         top, bottom = quotient(numerator, denominator, proper=False)
-        self._declare(top, bottom, 0, initial, unit)
+        lead = leading_zeros(top)
+        self._declare(top[lead:], bottom, lead, initial, unit)
 
 
 @library_block("discrete_transfer_function")
@@ -219,7 +231,8 @@ class DiscreteTransferFunction(_Rational):
     """H(z) = numerator / denominator in descending powers of z; proper. Strictly proper: no feed-through.
 
     Transposed direct form II: y = b0 u + s1, s_i' = b_i u - a_i y + s_(i+1), coefficients of z^-i divided by the
-    denominator's first; `initial` s1 .. sn (one number fills all). Order 64 at most.
+    denominator's first; `initial` s1 .. sn (one number fills all). Order 64 at most. Zeros that the numerator begins
+    with are left out.
     """
 
     def __init__(
@@ -245,9 +258,11 @@ class LinearStateSpace(Block):
             "B": matrix(B, n, None, "B"),
             "C": matrix(C, None, n, "C"),
         }
-        self.input_count, self.output_count, self.direct = len(parts["B"][0]), len(parts["C"]), D is not None
+        self.input_count, self.output_count = len(parts["B"][0]), len(parts["C"])
+        d = [] if D is None else matrix(D, self.output_count, self.input_count, "D")
+        self.direct = any(map(any, d))
         if self.direct:
-            parts["D"] = matrix(D, self.output_count, self.input_count, "D")
+            parts["D"] = d
         self.inputs = [Port("u", width=None if self.input_count == 1 else self.input_count)]
         self.outputs = [Port("y", width=None if self.output_count == 1 else self.output_count, unit=unit)]
         self.params = [
@@ -279,8 +294,8 @@ class LinearStateSpace(Block):
 class DiscreteStateSpace(LinearStateSpace):
     """x' = A x + B u, y = C x + D u at the block's rate; x[0] = initial.
 
-    A, B, C and D are lists of rows (D None: no feed-through). One input or output is a scalar port, more are an array.
-    Their elements are parameters of the same names, row after row.
+    A, B, C and D are lists of rows. One input or output is a scalar port, more are an array. The elements are
+    parameters of the same names, row after row. D of zeros, or None: no feed-through, and no parameter D.
     """
 
     def __init__(
