@@ -152,8 +152,9 @@ def test_the_code_of_a_page_on_design_runs(name: str, tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
-def test_each_recipe_prints_what_the_page_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = (PROJECT / "docs" / "how-to" / "recipes.md").read_text()
+@pytest.mark.parametrize("name", ["recipes", "check-a-diagram"])
+def test_each_recipe_prints_what_the_page_says(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (PROJECT / "docs" / "how-to" / f"{name}.md").read_text()
     script = tmp_path / "recipes.py"
     script.write_text("\n".join(re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)))
     run(script, tmp_path)

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.compile.linear.linear_model import LinearModel
+from twodof.compile.linear.linear_model import LinearModel, python_control
 from twodof.errors import ParameterError, nearest, shown
 from twodof.models.lti import DelayedStateSpace, SampledStateSpace
 
@@ -141,7 +141,28 @@ class LoopTransfer:
         """Return the open loop's poles: in the z plane, or in rad/s, shape (n,)."""
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
-    def to_control(self) -> Any:
+    @classmethod
+    def from_control(cls, system: Any) -> Self:
+        """Return the loop that a system of python-control describes; see `LinearModel.from_control`."""
+        return cls.of(LinearModel.from_control(system))
+
+    def to_control(self, omega: ArrayLike | None = None) -> Any:
+        """Return L as python-control's FrequencyResponseData, for `control.margin`, `bode_plot` and `feedback`.
+
+        `omega` [rad/s] defaults to 2,000 frequencies around all poles. python-control computes margins of a state space
+        from polynomials, which are wrong for loops of some 20 states or more; `state_space` gives that form. Raises
+        CompileError if python-control is not installed.
+        """
+        if omega is None:
+            poles = self.poles()  # at z = 0 are delays
+            sizes = np.abs(poles if self.dt is None else np.log(poles[poles != 0.0]) / self.dt)
+            top = math.pi / self.dt if self.dt else 1e3 * max(sizes, default=1.0) or 1.0
+            low = min(sizes[(sizes > 1e-6 * top) & (sizes < top)], default=top)
+            omega = np.geomspace(1e-2 * low, top, 2000)
+        w = np.atleast_1d(np.asarray(omega, dtype=float))
+        return python_control().frd(self.response(w), w, dt=self.dt or 0)
+
+    def state_space(self) -> Any:
         """Return the loop as python-control's StateSpace.
 
         Raises CompileError if python-control is not installed, and ParameterError for a continuous loop with a delay.

@@ -3,7 +3,7 @@
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,15 @@ from twodof.errors import CompileError
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+
+def python_control() -> Any:
+    """Return the package python-control. Raises CompileError if it is not installed."""
+    try:
+        return importlib.import_module("control")
+    except ImportError as error:
+        remedy = "install it where twodof is: pip install control"
+        raise CompileError("python-control is not installed", "python-control", remedy) from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +60,28 @@ class LinearModel:
         inner = np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape)).astype(np.complex128))
         return np.asarray(self.c @ inner + self.d, dtype=np.complex128)
 
+    @classmethod
+    def from_control(cls, system: Any) -> Self:
+        """Return the model that a StateSpace or TransferFunction of python-control describes, with the same names.
+
+        Raises CompileError if python-control is not installed, and for a system of another type or without a sample
+        time.
+        """
+        control = python_control()
+        if not isinstance(system, control.StateSpace | control.TransferFunction) or system.dt is True:
+            what = f"{type(system).__name__} of sample time {getattr(system, 'dt', None)} is not a linear model"
+            remedy = "give a StateSpace or a TransferFunction; its sample time is 0 or a number of seconds"
+            raise CompileError(what, "from_control", remedy)
+        s = control.ss(system)
+        names = (tuple(s.state_labels), tuple(s.input_labels), tuple(s.output_labels))
+        return cls(s.A, s.B, s.C, s.D, s.dt or None, *names, name=s.name)
+
     def to_control(self) -> Any:
         """Return the model as python-control's StateSpace, with the same names.
 
         Raises CompileError if python-control is not installed.
         """
-        try:
-            control = importlib.import_module("control")
-        except ImportError as error:
-            remedy = "install it where twodof is: pip install control"
-            raise CompileError("python-control is not installed", "to_control", remedy) from error
+        control = python_control()
         names = ("states", "inputs", "outputs")
         named = {what: [name.replace(".", "_") for name in getattr(self, what)] for what in names}
         dt = 0 if self.dt is None else self.dt
