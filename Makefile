@@ -3,7 +3,7 @@
 #   make demo    fly, identify, compare with the paper, write out/demo/report.html; build the browser page first
 #   make web     build the browser page of web/ into the package
 #   make play    the page in out/play that flies the virtual rig in a browser, without a server
-#   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
+#   make wheel   dist/twodof-*.whl with the page inside: `pip install` it where there is no make, node or compiler
 #   make quick   what is cheap of every room, under a minute: at each change
 #   make test    every test that takes less than 1 s of processor time, and the page's, in minutes
 #   make thorough    the others; CI runs both              make soak   the long versions of tests, for hours
@@ -21,8 +21,6 @@ BIN := $(VENV)/bin
 # The first interpreter that is new enough; `make PYTHON=... demo` overrides it.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
-# Without a system C compiler the one in the ziglang wheel is installed and used.
-RUN_REQUIREMENTS := requirements/$(if $(shell command -v cc 2>/dev/null),run,compiler).txt
 # One more than the two cores of continuous integration: some tests wait for real time to pass, and others fill it.
 TEST_JOBS ?= 3
 # The tests start our programs more than a hundred times: without the byte code of the last start each costs twice.
@@ -33,15 +31,14 @@ export OPENBLAS_NUM_THREADS ?= 1
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo web play sandbox quick test thorough shake check bench soak docs tools lock sbom clean fuzz
+.PHONY: help demo web play wheel quick test thorough shake check bench soak docs tools lock sbom clean fuzz
 .DELETE_ON_ERROR:
 
 help:
 	@sed -n '/^#   /s/^#   //p' Makefile
 
 # Quick and silent when nothing in web/ has changed. Its absolute path is wanted: the build goes into web/.
-# The sandbox is a part of it: there the page's diagrams are compiled, and the drones fly them.
-web: $(VENV)/ready-sandbox
+web: $(VENV)/ready-run
 	@tools/web.sh "$(CURDIR)/$(BIN)/python" build
 
 # The demonstration needs no page: where the npm registry is not reached, it goes on without.
@@ -50,11 +47,13 @@ demo: $(VENV)/ready-run
 		echo "web: the browser page is not built, for the reason above; 'make web' tries again"
 	$(BIN)/twodof demo --force
 
-play: $(VENV)/ready-sandbox
+play: $(VENV)/ready-run
 	@tools/web.sh "$(CURDIR)/$(BIN)/python" play
 	@$(BIN)/python tools/play.py
 
-sandbox: $(VENV)/ready-sandbox
+wheel: web
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	@echo "written: $$(ls -t dist/twodof-*.whl | head -n 1)"
 
 quick: $(VENV)/ready-dev
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --quick -m "not long and not soak"
@@ -109,13 +108,9 @@ $(VENV)/ready-pip: requirements/pip.txt | $(BIN)/python
 	$(BIN)/python $(INSTALL) --require-hashes -r $<
 	@touch $@
 
-$(VENV)/ready-run: $(RUN_REQUIREMENTS) pyproject.toml $(VENV)/ready-pip
-	$(BIN)/python $(INSTALL) --require-hashes -r $(RUN_REQUIREMENTS)
+$(VENV)/ready-run: requirements/run.txt pyproject.toml $(VENV)/ready-pip
+	$(BIN)/python $(INSTALL) --require-hashes -r $<
 	$(BIN)/python $(INSTALL) --no-deps -e .
-	@touch $@
-
-$(VENV)/ready-sandbox: requirements/sandbox.txt $(VENV)/ready-run
-	$(BIN)/python $(INSTALL) --require-hashes -r requirements/sandbox.txt
 	@touch $@
 
 $(VENV)/ready-docs: requirements/docs.txt $(VENV)/ready-pip
@@ -125,7 +120,7 @@ $(VENV)/ready-docs: requirements/docs.txt $(VENV)/ready-pip
 $(VENV)/ready-dev: requirements/dev.txt pyproject.toml $(VENV)/ready-pip
 	$(BIN)/python $(INSTALL) --require-hashes -r requirements/dev.txt
 	$(BIN)/python $(INSTALL) --no-deps -e .
-	@touch $@ $(VENV)/ready-run $(VENV)/ready-sandbox $(VENV)/ready-docs
+	@touch $@ $(VENV)/ready-run $(VENV)/ready-docs
 
 # What maintains the pins has an environment of its own, so that nobody else installs it.
 MAINTAIN := $(VENV)/maintain
@@ -143,8 +138,6 @@ LOCK_PROJECT := $(LOCK) --build-deps-for=editable
 lock: $(MAINTAIN)/ready
 	$(LOCK_PROJECT) --extra dev --extra docs -o requirements/dev.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt -o requirements/run.txt pyproject.toml
-	$(LOCK_PROJECT) -c requirements/dev.txt --extra compiler -o requirements/compiler.txt pyproject.toml
-	$(LOCK_PROJECT) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra docs -o requirements/docs.txt pyproject.toml
 	$(LOCK) -o requirements/node.txt requirements/node.in
 	$(LOCK) -o requirements/pip.txt requirements/pip.in
@@ -153,7 +146,7 @@ lock: $(MAINTAIN)/ready
 # One document for each file of pins: name, version, purl and hashes of every part, checked against CycloneDX's schema.
 sbom: $(MAINTAIN)/ready
 	@mkdir -p out/sbom
-	@for pins in run compiler sandbox docs dev maintain pip; do \
+	@for pins in run docs dev maintain pip; do \
 		PYTHONWARNINGS=ignore $(MAINTAIN)/bin/cyclonedx-py requirements --validate --output-reproducible --short-PURLs \
 			--mc-type library --pyproject pyproject.toml -o out/sbom/$$pins.cdx.json requirements/$$pins.txt && \
 		[ $$(grep -c '^[^ #].*==' requirements/$$pins.txt) = $$(grep -c '"purl"' out/sbom/$$pins.cdx.json) ] && \

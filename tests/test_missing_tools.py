@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -88,3 +91,29 @@ def test_a_compiler_that_does_not_work_is_no_traceback(text: str, tmp_path: Path
     said = user(["ziglang", "wasmtime"], ["native"], tmp_path, cc=text)
     assert said["native"][0] == "CompileError"
     assert "check that the compiler works" in said["native"][1]
+
+
+@pytest.mark.long
+def test_with_an_empty_path_the_required_wheels_compile(tmp_path: Path) -> None:
+    said = user([], ["native", "wasm"], tmp_path)
+    assert [said[target][0] for target in ("native", "wasm")] == ["CompiledProgram", "CompiledProgram"], said
+    assert said["native"][1] == said["wasm"][1]
+
+
+def test_a_wheel_has_the_page_and_requires_a_compiler(tmp_path: Path) -> None:
+    """`pip install` of it needs no make, node or compiler."""
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(PROJECT / name, tmp_path)
+    page = tmp_path / "src" / "twodof" / "lab" / "page"
+    shutil.copytree(PROJECT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("page", "__pycache__"))
+    page.mkdir()
+    (page / "index.html").write_text("the page")
+    build = "from flit_core.buildapi import build_wheel; print(build_wheel('.'))"
+    name = subprocess.run(
+        [sys.executable, "-c", build], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    with zipfile.ZipFile(tmp_path / name.strip()) as wheel:
+        assert wheel.read("twodof/lab/page/index.html") == b"the page"
+        (about,) = [name for name in wheel.namelist() if name.endswith("METADATA")]
+        required = re.findall(r"^Requires-Dist: ([\w-]+)[^;\n]*$", wheel.read(about).decode(), flags=re.MULTILINE)
+    assert {"wasmtime", "ziglang"} <= set(required)

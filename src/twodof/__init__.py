@@ -10,7 +10,7 @@ is first named.
 import importlib
 from types import ModuleType
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 def _rooms() -> frozenset[str]:

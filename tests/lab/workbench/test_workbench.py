@@ -122,4 +122,4 @@ def test_the_catalogue_says_what_to_run_where_nothing_can_be_simulated(monkeypat
     monkeypatch.setattr(compilers, "find_zig", lambda: None)
     monkeypatch.setenv("PATH", "")
     said = diagram_work.catalogue()["not_simulated"]
-    assert said.startswith("there is no compiler for WebAssembly: run `make sandbox`")
+    assert said.startswith("there is no compiler for WebAssembly: run `pip install ziglang`")

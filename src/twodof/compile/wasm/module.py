@@ -153,7 +153,7 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
     raise CompileError(
         f"there is no compiler {name!r:.80} for WebAssembly" if name else "there is no compiler for WebAssembly",
         "target wasm",
-        "run `make sandbox` in twodof's folder, or pip install ziglang beside twodof, or install clang and lld",
+        "run `pip install ziglang` where twodof is installed, or install clang and lld",
     )
 
 

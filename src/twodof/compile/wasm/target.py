@@ -18,10 +18,7 @@ from twodof.compile.target import EmittedProgram
 from twodof.compile.wasm.module import PAGE, WasmModule, compile_module, find_wasm_compiler, step_fuel
 from twodof.errors import CompileError, ControllerFault
 
-INSTALL = (
-    "run `make sandbox` in twodof's folder; where it was installed without make: pip install wasmtime ziglang "
-    "into the same environment"
-)
+INSTALL = "run `pip install wasmtime ziglang` where twodof is installed"
 """Remedy of an error: how to install the sandbox."""
 
 
@@ -79,7 +76,7 @@ def wasmtime() -> Any:
         raise CompileError(
             "the package wasmtime is not installed",
             "target wasm",
-            "run `make sandbox` in twodof's folder, or pip install wasmtime where twodof is installed",
+            INSTALL,
         ) from error
 
 
