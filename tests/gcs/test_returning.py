@@ -153,6 +153,8 @@ def test_a_pause_ends_the_session_in_flight_only(watching: bool, armed: bool, pa
                 assert drone.setpoints.sent == sent
             else:
                 await drone.run(1.0)
+                said = any("computer is too slow" in line.text for line in drone.messages)
+                assert said == (pause > 3.0 or (armed and not watching)), "a short pause hurts who sends set-points"
                 await drone.telemetry("theta").next()
                 assert drone.telemetry("theta").value
             # That it was silent indeed is still noticed.

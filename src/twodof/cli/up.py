@@ -111,7 +111,7 @@ def _settings(
     """Return the settings of a page's server, with tokens of the environment or drawn ones."""
     tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
     given = (tuple(connect), key, *tokens)
-    return LabSettings(data_folder(), host, port, *given, logs=tuple(logs), token_always=token)
+    return LabSettings(data_folder(), host, port, *given, logs=tuple(logs), token_always=token, warm_up=True)
 
 
 def _served(

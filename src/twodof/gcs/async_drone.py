@@ -36,7 +36,7 @@ from twodof.gcs.identity import drawn, give_back, identity
 from twodof.gcs.lease import LeaseClient
 from twodof.gcs.parameters import AsyncParameters
 from twodof.gcs.recording import Recording, record
-from twodof.gcs.session import Deadline, DroneSession, ProgramPaused
+from twodof.gcs.session import SILENT_S, Deadline, DroneSession, ProgramPaused
 from twodof.gcs.setpoints import SetpointStream
 from twodof.gcs.telemetry import Telemetry
 from twodof.link.connection import Connection
@@ -476,12 +476,12 @@ class AsyncDrone(DroneView):
             self.session.send_anyway(self.commands.request_of("TWODOF_RIG"))
 
     def _stood_still(self, pause: ProgramPaused) -> None:
-        """End the session after a pause of this program in flight: the drone's failsafe has acted meanwhile."""
+        """Say that this program stood still; after a long pause in flight, end the session of the pilot."""
         if self.session.lockstep:  # the drone's time stood still too
             return
-        what = f"this program stood still for {pause.seconds:.1f} s"
+        what = f"this computer is too slow, or slept: this program stood still for {pause.seconds:.1f} s"
         self.texts.note("warning", what)
-        if self.commanding and self.state.armed:
+        if self.commanding and self.state.armed and pause.seconds > SILENT_S:
             what = f"{what}, and the drone was without its pilot"
             self.session.end(LinkLost(what, self.session.url, "connect again"))
 

@@ -72,7 +72,7 @@ T = TypeVar("T")
 
 
 class ProgramPaused(NamedTuple):
-    """Event: this program stood still for `seconds`, longer than a drone may be silent."""
+    """Event: this program stood still for `seconds`, longer than a drone goes on without set-points."""
 
     seconds: float
 

@@ -14,12 +14,14 @@ from twodof.gcs.clock import SETPOINT_TICKS, DroneClock, SliceStarts
 from twodof.gcs.commands import CommandSender
 from twodof.gcs.drone_state import StateTracker
 from twodof.gcs.lease import LeaseClient
-from twodof.gcs.session import Deadline, DroneSession
+from twodof.gcs.session import SILENT_S, Deadline, DroneSession, ProgramPaused
 from twodof.link.mavlink.modes import custom_mode
 from twodof.link.mavlink.setpoints import SetPoint, setpoint_message
 from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, TICK_S, VELOCITY
 
 PERIOD_S = 0.02
+LATE_S = 0.4
+"""Delay of a set-point [s] after which the failsafe soon levels the drone (SAFE_SP_T)."""
 MOST_PITCH, MOST_RATE = pi / 2, 60.0
 """[rad], [rad/s]: a larger number was probably meant in degrees; 60 rad/s is more than the gyro measures."""
 MOST_WAY, MOST_SPEED = 1.0, 5.0
@@ -234,6 +236,8 @@ class SetpointStream:
                 due = max(due + PERIOD_S, loop.time())
                 await asyncio.sleep(due - loop.time())
                 self._send(0)
+                if LATE_S < loop.time() - due <= SILENT_S:  # after a longer pause the session ends
+                    self._session.emit(ProgramPaused(loop.time() - due))
 
     def _slice(self, granted: SliceStarts) -> None:
         """Send the set-points of these ticks before the ticks are granted."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from contextlib import suppress
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -10,13 +12,21 @@ from fastapi import Depends
 from fastapi.requests import HTTPConnection
 
 from twodof.blocks.schema.json_form import MAX_BYTES as DIAGRAM_BYTES
-from twodof.errors import LogError, Rejected
+from twodof.errors import LogError, Rejected, TwodofError
+from twodof.excitation import Doublet
+from twodof.experiment.prediction import predicted
+from twodof.flight.gains import DEFAULT
 from twodof.lab.drones.lab_drone import LabDrones
 from twodof.lab.folders import LogShelf, NamedFiles
 from twodof.lab.models import ModelFolder, TuningGuard
 from twodof.lab.processes import Jobs, Workbench
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience
+from twodof.signals import HOVER
+
+WARM_UP_S = 600.0
+PATIENCE_S = 5.0
+"""Longest wait of a preview for the warm-up [s]."""
 
 
 class Lab:
@@ -41,6 +51,7 @@ class Lab:
         self.summaries: dict[tuple[str, int, int], dict[str, Any]] = {}
         self.log_bench = Workbench("log", LogError)
         self.rehearsed: dict[str, str] = {}
+        self._warming: asyncio.Task[None] | None = None
 
     def whole_log(self, name: str) -> Path:
         """Return the place of a readable log. Raises NotThere, and Rejected while it is being recorded."""
@@ -51,9 +62,24 @@ class Lab:
 
     async def __aenter__(self) -> Self:
         self.drones.start()
+        if self.settings.warm_up:
+            self._warming = asyncio.create_task(self._warm_up())
         return self
 
+    async def _warm_up(self) -> None:
+        with suppress(TwodofError):  # a preview then says why
+            played = Doublet(0.1, 1.0, unit="rad").to_dict()
+            await self.workbench.do(predicted, played, "theta", "lab", HOVER, 0.0, False, DEFAULT, seconds=WARM_UP_S)
+
+    async def is_warm(self) -> bool:
+        """Return True if the virtual rig is compiled for previews; wait for it up to `PATIENCE_S`."""
+        if self._warming is not None:
+            await asyncio.wait([self._warming], timeout=PATIENCE_S)
+        return self._warming is None or self._warming.done()
+
     async def __aexit__(self, *_: object) -> None:
+        if self._warming is not None:
+            self._warming.cancel()
         await self.jobs.close()
         await self.workbench.close()
         await self.log_bench.close()

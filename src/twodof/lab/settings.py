@@ -26,8 +26,8 @@ class LabSettings:
     `folder` is the user's data folder. `connect` are the URLs of drones, by default of those on this computer; `key`
     signs messages to them. A client with `command_token` may do everything, one with `watch_token` may only look. On
     the loopback a client without a token may do everything, unless `token_always`; elsewhere it is refused. Port 0
-    stands for a free port. Logs in the folders `logs` are shown but never changed. Raises LinkError if other computers
-    can reach the server and there is no `command_token`.
+    stands for a free port. Logs in the folders `logs` are shown but never changed. `warm_up` compiles the virtual rig
+    for previews at the start. Raises LinkError if other computers can reach the server and there is no `command_token`.
     """
 
     folder: Path
@@ -40,6 +40,7 @@ class LabSettings:
     page: Path = PAGE
     logs: tuple[Path, ...] = ()
     token_always: bool = False
+    warm_up: bool = False
 
     def __post_init__(self) -> None:
         if self.needs_token and not self.command_token:

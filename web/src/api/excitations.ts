@@ -36,6 +36,8 @@ export interface ExcitationPreview {
   value: number[];
   motion: PredictedMotion | null;
   why: string;
+  /** True if the prediction will come later. */
+  again: boolean;
 }
 
 export interface PreviewAsked {

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from fastapi import Body
 from pydantic import Field
 
-from twodof.errors import ExperimentError, TwodofError
+from twodof.errors import ExperimentError, Rejected, Timeout, TwodofError
 from twodof.excitation import Excitation, Multisine, from_dict
 from twodof.experiment import EXPERIMENTS
 from twodof.experiment.experiments import LOOP, LOOP_MODES, UNIT
@@ -228,10 +228,11 @@ async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
 
     `excitation` is its final form. `motion` is the predicted motion of the drone with its gains, by the identified
     model that guards its tuning, else by its virtual rig. Without a prediction it is null, and `why` has the reason.
+    `again` is true if the prediction will come later: ask again.
     """
     played = excitation_of(asked.excitation)
     times = [played.duration * k / (asked.points - 1) for k in range(asked.points)]
-    motion, why = await _motion(lab, asked, played.to_dict(), played.unit)
+    motion, why, again = await _motion(lab, asked, played.to_dict(), played.unit)
     return {
         "excitation": played.to_dict(),
         "unit": played.unit,
@@ -241,15 +242,18 @@ async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
         "value": played.at(times).tolist(),
         "motion": motion,
         "why": why,
+        "again": again,
     }
 
 
 async def _motion(
     lab: Lab, asked: AskedPreview, excitation: dict[str, Any], unit: str
-) -> tuple[dict[str, Any] | None, str]:
-    """Return the motion as plain data, or None and the reason."""
+) -> tuple[dict[str, Any] | None, str, bool]:
+    """Return the motion as plain data, or None, the reason, and True if it will come later."""
     if asked.drone == 0:
-        return None, "no drone is named"
+        return None, "no drone is named", False
+    if not await lab.is_warm():
+        return None, "the virtual rig is being compiled; the prediction appears by itself", True
     own = lab.drones[asked.drone]
     state = own.state
     loop: str = asked.loop or next(loop for loop, mode in LOOP_MODES.items() if UNIT[mode] == unit)
@@ -260,9 +264,11 @@ async def _motion(
         gains = await _gains(own.drone)
         thrust = HOVER if asked.thrust is None else asked.thrust
         given = (excitation, loop, rig, thrust, asked.x, state["rings_locked"], gains, model)
-        return await lab.workbench.do(predicted, *given, seconds=PREDICT_S), ""
+        return await lab.workbench.do(predicted, *given, seconds=PREDICT_S), "", False
+    except Timeout:
+        return None, f"this computer is too slow: the prediction took longer than {PREDICT_S:g} s", False
     except TwodofError as error:
-        return None, str(error)
+        return None, str(error), isinstance(error, Rejected)
 
 
 async def _gains(drone: AsyncDrone) -> Gains:
