@@ -49,6 +49,9 @@ def test_a_controller_is_tuned_from_the_shell(
         assert [row["name"] for row in said("--load", str(kept), "--json")["parameters"]] == ["RATE_KP"]
         assert said("--load", str(kept)) == ""
         assert said("RATE_KP", "--json")["parameters"][0]["value"] == pytest.approx(0.07)
+        kept.write_text("2\t1\tRATE_KP\t0.07\t9\n")
+        assert run(["parameters", "--url", url, "--load", str(kept)]) == 0
+        assert capfd.readouterr().err.endswith("note: the file is of vehicle 2, this is vehicle 1\n")
         assert "is not a parameter" in said("--load", __file__, status=2)
 
         assert "2 is outside 0 to 1 s/rad" in said("RATE_KP=0.05", f"{PATH}=2", status=2)

@@ -35,7 +35,7 @@ def test_it_says_how_far_it_is(specification: Specification | None) -> None:
 @pytest.mark.parametrize("after_s", [0.5, 2.5])
 def test_ctrl_c_ends_a_design_in_a_line(after_s: float, tmp_path: Path) -> None:
     (tmp_path / "model.json").write_text(json.dumps({"model": dict(FAMILY.values)}))
-    (tmp_path / "spec.toml").write_text("[pitch]\nbandwidth = 4.0\n")
+    (tmp_path / "spec.toml").write_text("[pitch]\nbandwidth = 4.0\n", encoding="utf-8-sig")
     (folder := tmp_path / "empty").mkdir()
     command = ["design", "controller", str(tmp_path / "model.json"), "--spec", str(tmp_path / "spec.toml")]
     # 20,000 members take many seconds: it is at work when the signal comes

@@ -35,6 +35,20 @@ def test_a_file_of_qgroundcontrol_is_read() -> None:
     assert ParameterFile.read(FROM_QGC, component=100).values == {"CAM_MODE": 2.0}
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(
+    "rows",
+    ["#NOTE: by Mission Planner\nRATE_KP,0.0813\r\nMODE,2\r\n", "RATE_KP  0.0813 # by MAVProxy\n # x\n\nMODE\t2\n"],
+)
+def test_files_of_names_and_values_are_read(rows: str, encoding: str) -> None:
+    file = ParameterFile.read(rows.encode(encoding))
+    assert (file.values, file.system) == ({"RATE_KP": 0.0813, "MODE": 2.0}, 0)
+
+
+def test_a_byte_order_mark_is_no_parameter() -> None:
+    assert ParameterFile.read(FROM_QGC.encode("utf-8-sig")) == ParameterFile.read(FROM_QGC)
+
+
 def test_a_file_of_the_drones_values_changes_nothing() -> None:
     """QGroundControl's 18 digits and our shortest ones are one float32."""
     known = {"RATE_KP": entry("RATE_KP", 0.0854), "SAFE_WATCH_BITS": entry("SAFE_WATCH_BITS", 0.0, INT32)}
@@ -66,6 +80,8 @@ def test_every_float32_survives(values: dict[str, float]) -> None:
         ("", "the file has no parameter"),
         ("1\t1\tRATE_KP\tnan\t9\n", "line 1"),
         ("1\t1\tRATE_KP\t0.1\n", "line 1"),
+        ("RATE_KP,0,1\n", "'RATE_KP,0,1' is not a parameter"),
+        ("\x1a\0\0\0\x01RATE_KP\0", "is not text .*`param save` of PX4 writes a binary file"),
         ("# x\n1\t1\tRATE_KP\t0.1\t9\n1\t1\tRATE_KP\t0.2\t9\n", "line 3"),
         ("1\t999\tRATE_KP\t0.1\t9\n", "out of range"),
         ("1\t1\tA_NAME_THAT_IS_TOO_LONG\t0.1\t9\n", "16 ASCII characters"),

@@ -318,6 +318,8 @@ def test_a_key_in_a_file_of_its_owner_only(tmp_path: Path) -> None:
     write_key(path, key)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert read_key(path).secret == key.secret
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())  # as Notepad saves it
+    assert read_key(path).secret == key.secret
     with pytest.raises(LinkError, match="is there already"):
         write_key(path, key)
     for mode in (0o640, 0o604, 0o620, 0o666):

@@ -70,6 +70,8 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path: Path) -> None:
     values.update({"inertia": 0.1 + 0.2, "gust": 1e-300})
     save_rig(values, tmp_path / "rig.json")
     assert load_rig(tmp_path / "rig.json").snapshot() == values.snapshot()
+    (tmp_path / "notepad.json").write_text((tmp_path / "rig.json").read_text(), encoding="utf-8-sig")
+    assert load_rig(tmp_path / "notepad.json").snapshot() == values.snapshot()
     assert load_rig("paper").snapshot() == paper().snapshot()
     assert load_rig("lab").snapshot() == lab().snapshot()
 

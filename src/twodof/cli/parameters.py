@@ -51,6 +51,8 @@ def parameters(
             differs, missing = file.against(there.parameters.all())
             names, changes = [*names, *(name for name in differs if name not in changes)], {**differs, **changes}
             _print_loaded(len(differs), missing)
+            if file.system not in (0, own := there.there.session.system):
+                typer.echo(f"note: the file is of vehicle {file.system}, this is vehicle {own}", err=True)
         rows = _rows(there, names, changes, described) if names or file is None else []
         if save is not None:
             entries = there.parameters.all().values()

@@ -17,6 +17,7 @@ from twodof.design.promise import STEPS, Promise
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import LogError, ParameterError, is_number, listed, nearest, shown
 from twodof.flightlog.provenance import read_bytes
+from twodof.flightlog.text_file import text_of
 
 MAX_BYTES = 1 << 20
 _HALF_POWER = math.sqrt(0.5)
@@ -157,7 +158,7 @@ def read_specification(path: str | Path, table: str = "pitch") -> Specification:
     """Return the specification in a `table` of a TOML file. Raise ParameterError for a file without or with faults."""
     line = "bandwidth = 6.0" if table == "pitch" else "overshoot = 0.2"
     try:
-        data = tomllib.loads(read_bytes(path, MAX_BYTES).decode("utf-8"))
+        data = tomllib.loads(text_of(read_bytes(path, MAX_BYTES)))
     except LogError as reason:
         raise ParameterError(reason.what, str(path), f"name a TOML file with a table [{table}]") from reason
     except (ValueError, RecursionError) as reason:

@@ -175,7 +175,7 @@ class PitchLaw:
         DiagramError for a controller that has no linear model.
         """
         if diagram is not None:
-            found = from_json(diagram if isinstance(diagram, str) else diagram.decode())
+            found = from_json(diagram)
             start = f"{ATTITUDE.name}."
             inside = {name: path[len(start) :] for name, path in (paths or {}).items() if path.startswith(start)}
             set_to = {path: values[name] for name, path in inside.items() if name in values}

@@ -1,7 +1,8 @@
-"""Parameter files (.params) as QGroundControl saves and loads them.
+"""Parameter files (.params) as QGroundControl saves and loads them; those of Mission Planner (.param) are read too.
 
-A line has five fields with tabs between them: vehicle id, component id, name, value and MAV_PARAM_TYPE. Lines with #
-are remarks. Source: QGroundControl's developer guide, "Parameters File Format".
+A line has five fields with tabs between them: vehicle id, component id, name, value and MAV_PARAM_TYPE. What follows #
+is a remark. Source: QGroundControl's developer guide, "Parameters File Format". A line of Mission Planner or MAVProxy
+has name and value, with a comma or spaces between them.
 """
 
 from collections.abc import Iterable, Mapping
@@ -10,6 +11,7 @@ from math import isfinite
 from typing import Self
 
 from twodof.errors import ParameterError, printable, shown
+from twodof.flightlog.text_file import text_of
 from twodof.gcs.parameters import INT32, MOST, REAL32, ParameterEntry, same_as
 
 MAX_BYTES = 1 << 20
@@ -22,7 +24,10 @@ _TYPES = range(1, 11)
 
 @dataclass(frozen=True)
 class ParameterFile:
-    """Parameters of one component: `values` and MAV_PARAM_TYPE `kinds` by name, `about` the remarks "Name: text"."""
+    """Parameters of one component: `values` and MAV_PARAM_TYPE `kinds` by name, `about` the remarks "Name: text".
+
+    `system` is 0 for a file that does not name its vehicle.
+    """
 
     values: Mapping[str, float]
     kinds: Mapping[str, int]
@@ -48,9 +53,12 @@ class ParameterFile:
         if len(content) > MAX_BYTES:
             raise ParameterError(f"the file has more than {MAX_BYTES >> 10} KiB", where, "give a .params file")
         try:
-            text = content if isinstance(content, str) else content.decode()
-        except UnicodeDecodeError as reason:
-            raise ParameterError("the file is not text", where, "give a .params file of QGroundControl") from reason
+            text = content if isinstance(content, str) else text_of(content)
+        except UnicodeDecodeError:
+            text = "\0"
+        if "\0" in text:
+            remedy = "save the parameters in QGroundControl; `param save` of PX4 writes a binary file"
+            raise ParameterError("the file is not text", where, remedy)
         values: dict[str, float] = {}
         kinds: dict[str, int] = {}
         about: dict[str, str] = {}
@@ -60,7 +68,7 @@ class ParameterFile:
                 name, colon, said = line.lstrip("# ").partition(":")
                 if colon and not values and len(about) < 20:
                     about[name.strip()[:40]] = said.strip()[:200]
-            elif line.strip():
+            elif line.partition("#")[0].strip():
                 vehicle, own, name, value, kind = _row(line, f"{where}, line {number}")
                 if component in (None, own):
                     component, system = own, system or vehicle
@@ -103,12 +111,14 @@ def _same(value: float, entry: ParameterEntry) -> bool:
 
 
 def _row(line: str, where: str) -> tuple[int, int, str, float, int]:
-    fields = line.split()
+    fields = line.partition("#")[0].replace(",", " ").split()
     try:
-        vehicle, component, name, text, kind = fields
+        vehicle, component, name, text, kind = ["0", "1", *fields, f"{REAL32}"] if len(fields) == 2 else fields
         value, numbers = float(text), (int(vehicle), int(component), int(kind))
     except ValueError as reason:
-        raise ParameterError(f"{shown(line)} is not a parameter", where, f"a line has: {_HEAD}") from reason
+        raise ParameterError(
+            f"{shown(line)} is not a parameter", where, f"a line has: {_HEAD}, or name and value"
+        ) from reason
     if not (0 <= numbers[0] <= 255 and 0 <= numbers[1] <= 255 and numbers[2] in _TYPES):
         raise ParameterError(f"{shown(line)} has an id or a type out of range", where, f"a line has: {_HEAD}")
     if not (name.isascii() and name.isprintable() and 1 <= len(name) <= 16 and isfinite(value)):

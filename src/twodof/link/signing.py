@@ -13,6 +13,7 @@ A peer whose clock is ahead therefore sets the time for all. A peer that is behi
 signed frame; `Connection` sends it one.
 """
 
+import codecs
 import fcntl
 import hashlib
 import hmac
@@ -111,6 +112,7 @@ def read_key(path: str | Path) -> Key:
     Raises LinkError if the file cannot be read, holds no key, or gives rights to users other than its owner.
     """
     data = _read_guarded(Path(path), 200, 0o077, "the key", "and change the key", f"make one: twodof key {path}")
+    data = data.removeprefix(codecs.BOM_UTF8)
     if not _HEX.fullmatch(data):
         raise LinkError("holds no key of 64 hexadecimal digits", str(path), f"make one: twodof key {path}")
     return Key(bytes.fromhex(data.decode("ascii").strip()))

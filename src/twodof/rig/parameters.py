@@ -7,6 +7,7 @@ from types import MappingProxyType
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.provenance import read_bytes
+from twodof.flightlog.text_file import text_of
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, thrust_curve
 from twodof.parameters import Parameter, ParameterSet
 from twodof.rig.rig import rig_params
@@ -144,7 +145,7 @@ def load_rig(source: str | Path) -> ParameterSet:
         return paper()
     path = LAB_FILE if source == "lab" else Path(source)
     try:
-        text = read_bytes(path, MAX_BYTES).decode("utf-8")
+        text = text_of(read_bytes(path, MAX_BYTES))
     except (LogError, ValueError) as reason:
         why = reason.what if isinstance(reason, LogError) else "cannot be read: it is not UTF-8 text"
         raise ParameterError(why, str(path), f"name a JSON file or one of {', '.join(NAMES)}") from reason

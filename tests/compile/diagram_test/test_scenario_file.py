@@ -43,16 +43,26 @@ at = "ticks"
 """
 
 
-def write(folder: Path, text: str) -> Path:
+ROWS = "time [s],u,y [rad]\n0,1,\n0.1,2,true\n0.2,-3e-1,nan\n"
+
+
+def write(folder: Path, text: str, rows: str = ROWS, encoding: str = "utf-8") -> Path:
     (folder / "data").mkdir(exist_ok=True)
-    (folder / "data" / "in.csv").write_text("time [s],u,y [rad]\n0,1,\n0.1,2,true\n0.2,-3e-1,nan\n", encoding="utf-8")
+    (folder / "data" / "in.csv").write_text(rows, encoding=encoding)
     file = folder / "x.toml"
-    file.write_text(text, encoding="utf-8")
+    file.write_text(text, encoding=encoding)
     return file
 
 
-def test_a_file_says_what_the_objects_say(tmp_path: Path) -> None:
-    found = read_scenarios(write(tmp_path, WHOLE))
+GERMAN = ROWS.replace(",", ";").replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    ("rows", "encoding"),
+    [(ROWS, "utf-8"), (ROWS, "utf-8-sig"), (GERMAN, "utf-16"), (GERMAN.replace(";", "\t"), "utf-8")],
+)
+def test_a_file_says_what_the_objects_say(tmp_path: Path, rows: str, encoding: str) -> None:
+    found = read_scenarios(write(tmp_path, WHOLE, rows, encoding))
     assert (found.dt, found.integrator) == (0.01, "euler")
     first, second = found.scenarios
     assert (first.name, first.text, first.duration) == ("all", "every kind of signal", 1.0)
@@ -166,7 +176,7 @@ def test_a_wrong_table_is_refused(tmp_path: Path) -> None:
         (b"time,y\nnan,0\n", "does not increase"),
         (b"time,y,y\n0,0,0\n", "two columns have the same name"),
         (b"time,y\n0\n", "1 cells for 2"),
-        (b"\xff\xfe", "in.csv: cannot be read: 'utf-8' codec can't decode byte 0xff"),
+        (b"\xff", "in.csv: cannot be read: 'utf-8' codec can't decode byte 0xff"),
         (b'time,"y\n', "in.csv: cannot be read: unexpected end of data"),
         (b"", "first column is ''"),
     ):

@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from io import StringIO
 from itertools import pairwise
 from math import inf, pi
 from pathlib import Path
@@ -17,6 +18,7 @@ from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions import numbers
 from twodof.compile.diagram_test.assertions import Assertion, Judgement, first_tick, first_violation
 from twodof.errors import DiagramError, listed, nearest, shown
+from twodof.flightlog.text_file import separator_of, text_of
 
 Array = NDArray[np.float64]
 Between = Literal["hold", "interpolate"]
@@ -234,15 +236,19 @@ def _cell(cell: Any) -> float | str | None:
 
 
 def read_table(path: str | Path) -> SignalTable:
-    """Return the table in a CSV file with commas and the columns' names in the first line. Cells may be empty.
+    """Return the table in a CSV file with the columns' names in the first line. Cells may be empty.
 
+    Columns are separated by commas, or by semicolons or tabs; then a comma may be the decimal mark.
     Raises DiagramError for a file that cannot be read or is not such a table.
     """
     try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            rows = [row for row in csv.reader(file, strict=True) if row]
+        text = text_of(Path(path).read_bytes())
+        separator = separator_of(text.partition("\n")[0])
+        rows = [row for row in csv.reader(StringIO(text, newline=""), strict=True, delimiter=separator) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DiagramError(f"cannot be read: {error}", str(path), "name a CSV file in UTF-8, with commas") from error
+    if separator != ",":
+        rows[1:] = [[cell.replace(",", ".") for cell in row] for row in rows[1:]]
     return table_of_rows(rows[0] if rows else (), rows[1:], Path(path).name)
 
 

@@ -26,6 +26,7 @@ from twodof.compile.diagram_test.scenario import (
     table_of_rows,
 )
 from twodof.errors import DiagramError, listed, nearest, shown
+from twodof.flightlog.text_file import text_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def read_scenarios(path: str | Path) -> ScenarioFile:
     path = Path(path)
     where = str(path)
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        given = tomllib.loads(text_of(path.read_bytes()))
     except OSError as error:
         raise DiagramError(f"cannot be read: {error.strerror}", where, "name a TOML file with tests") from error
     except (RecursionError, ValueError) as error:  # TOMLDecodeError and UnicodeDecodeError among them

@@ -166,7 +166,9 @@ async def _against(drone: AsyncDrone, found: ParameterFile) -> dict[str, Any]:
         {"name": name, "before": known[name].value, "value": value, "unit": _unit(known[name])}
         for name, value in changes.items()
     ]
-    return {"changes": rows, "missing": list(missing), "about": dict(found.about)}
+    own = drone.session.system
+    other = {"Vehicle-Id": f"{found.system}, while this drone is {own}"} if found.system not in (0, own) else {}
+    return {"changes": rows, "missing": list(missing), "about": {**found.about, **other}}
 
 
 def _unit(entry: ParameterEntry) -> str:
