@@ -53,8 +53,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table["back"] = -0.1 * table["tacho"]  # k_v is at most 50
     rows = np.column_stack(list(table.values()))
     np.savetxt(made / "m.csv", rows, delimiter=",", header="stamp [s],volt [V],tacho,back", comments="", fmt="%.17g")
-    pq.write_table(pa.table(table), made / "m.parquet")
-    savemat(made / "m.mat", {**{name: one[:, None] for name, one in table.items()}, "note": "by hand", "k": 2.0})
+    pq.write_table(pa.table({**table, "dt": np.full(800, DT)}), made / "m.parquet")
+    vectors = {name: one[:, None] for name, one in table.items()}
+    savemat(made / "m.mat", {**vectors, "note": "by hand", "k": 2.0, "Ts": DT})
     (made / "model.py").write_text(SOURCE)
     space: dict[str, object] = {}
     exec(SOURCE, space)
@@ -84,6 +85,14 @@ def test_every_form_of_table_gives_one_result(folder: Path, capfd: pytest.Captur
     for name, truth in (("gain", GAIN), ("time_constant", TIME_CONSTANT)):
         assert abs(found[0][name]["value"] - truth) < 3.0 * found[0][name]["sigma"]
         assert [one[name]["value"] for one in found] == pytest.approx([found[0][name]["value"]] * 4, rel=1e-6)
+
+
+def test_a_period_stands_for_time_stamps(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    columns = ["--structure", str(folder / "model.py"), *COLUMNS[:-2]]
+    stamped = answer([str(folder / "m.csv"), *columns, "--time", "stamp"], capfd)["estimates"]
+    for table, period in (("m.csv", "0.01"), ("m.parquet", "0.01"), ("m.mat", "Ts"), ("m.parquet", "dt")):
+        found = answer([str(folder / table), *columns, "--period", period], capfd)["estimates"]
+        assert found["gain"]["value"] == pytest.approx(stamped["gain"]["value"], rel=1e-6), table
 
 
 def test_a_value_is_held_and_another_file_validates(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -132,6 +141,9 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
         (["--structure", "model.py", "--input", "u=volt", "--time", "clock"], "no column 'clock'"),
         (["--structure", "model.py", "--input", "u=volt", "--time", "stamp"], "no column named as an output"),
         (["--structure", "model.py", *COLUMNS, "--experiment", "doublet"], "--experiment"),
+        (["--structure", "model.py", *COLUMNS, "--period", "0.01"], "give one of --time and --period"),
+        (["--structure", "model.py", *COLUMNS[:-2], "--period", "-1"], "a period of -1 s"),
+        (["--structure", "model.py", *COLUMNS[:-2], "--period", "volt"], "no column 'volt' with one number"),
         (["--structure", "model.py", *COLUMNS, "--model", "rail"], "--model"),
         (["--structure", "model.py", *COLUMNS, "--estimate", "mu"], "no unknown 'mu'"),
         (["--structure", "model.py", *COLUMNS, "--hold", "u"], "write u=linear"),

@@ -19,7 +19,7 @@ from scipy.io import loadmat, savemat
 from tests.flightlog.synthetic import attitude_steps, channel, same_bits
 from tests.flightlog.test_ulog_file import message, px4_log
 from twodof.errors import LogError
-from twodof.flightlog.files import convert, read_log, write_log
+from twodof.flightlog.files import convert, read_columns, read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap_encoder import MAGIC
 
@@ -166,7 +166,13 @@ WRONG: list[tuple[str, bytes | str, str]] = [
     (".csv", "time,q\n1,x\n", "is not a table of numbers: .*'x'"),
     (".csv", "time,q\n1\n", "is not a table of numbers: .*Expected 2 columns, got 1"),
     (".csv", "time,q\n1,nan\n", "wrong.csv: q: value is nan at sample 0"),
-    (".csv", "time,q\n2,1\n1,1\n", "wrong.csv: q: time does not increase"),
+    (".csv", "time,q\n2,1\n1,1\n", "wrong.csv: q: time does not increase.*give two runs as two files"),
+    (".csv", "time;q\n0,0;1.234,5\n", "invalid value '1.234,5' .*no separators of thousands"),
+    (".csv", "time;q\n0.5;1,5\n", "time stamps in column 'time' are '0.5'"),
+    (".csv", "time;q\n31.01.2026 12:00;1\n", "'31.01.2026 12:00' .write seconds, or dates as 2026-01-31T"),
+    (".csv", "time [h],q\n0,1\n", "the time stamps are in 'h'"),
+    (".csv", "0,1\n1,2\n", "write the names of the columns above the numbers"),
+    (".csv", b"\xff\xfet", "not text in UTF-16"),
     (".csv", "time,q\n,1\n", "1 empty cells in column 'time'"),
     (".csv", "time,q\n0,1\nnan,2\n", "q: time is nan at sample 1 .*its time stamp"),
     (".csv", "time,q,q\n1,1,1\n", "two columns have one name"),
@@ -286,6 +292,69 @@ def test_wide_tables_of_others_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.parquet").write_bytes(parquet(time=[0, 1], q=pa.array([1.5, None], pa.float32())))
     log = read_log(tmp_path / "a.parquet")
     assert (log["q"].time.tolist(), log["q"].value.tolist()) == ([0], [1.5])
+
+
+TABLES = {
+    "semicolons": "time;u;y\n0,00;1;-0,5\n0,02;2;1e-3\n",
+    "semicolons and points": "time;u;y\n0.00;1;-0.5\n0.02;2;1e-3\n",
+    "tabs": "time\tu\ty\n0,00\t1\t-0,5\n0,02\t2\t1e-3\n",
+    "Excel": "sep=;\r\ntime;u;y\r\n0,00;1;-0,5\r\n0,02;2;1e-3\r\n",
+    "quotes": '"time","u","y"\n"0","1","-0.5"\n"0.02","2","0.001"\n',
+    "comments": "# by hand\n% twice\n\ntime,u,y\n0,1,-0.5\n0.02,2,1e-3\n",
+    "a line of units": "time,u,y\nms,,\n0,1,-0.5\n20,2,1e-3\n",
+    "milliseconds": "time [ms],u,y\n0,1,-0.5\n20,2,1e-3\n",
+    "dates": "time,u,y\n2026-01-31T23:59:59.990,1,-0.5\n2026-02-01T00:00:00.010,2,1e-3\n",
+    "a semicolon at the end": "time;u;y;\n0,00;1;-0,5;\n0,02;2;1e-3;\n",
+    "an old Mac": "time,u,y\r0,1,-0.5\r0.02,2,1e-3\r",
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("text", TABLES.values(), ids=TABLES)
+def test_tables_as_people_have_them_are_read(tmp_path: Path, text: str, encoding: str) -> None:
+    (tmp_path / "a.csv").write_bytes(text.encode(encoding))
+    log = read_log(tmp_path / "a.csv")
+    assert {name: one.value.tolist() for name, one in log.channels.items()} == {"u": [1.0, 2.0], "y": [-0.5, 1e-3]}
+    assert log["y"].time.tolist() == [0.0, 0.02]
+
+
+def test_units_below_the_heading_are_the_channels(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,u,y\ns,V,[m/s2]\n0,1,2\n")
+    assert [one.unit for one in read_log(tmp_path / "a.csv").channels.values()] == ["V", "m/s2"]
+
+
+def test_dates_in_parquet_begin_at_zero(tmp_path: Path) -> None:
+    stamps = pa.array([1769904000000, 1769904000020], pa.timestamp("ms", "UTC"))
+    (tmp_path / "a.parquet").write_bytes(parquet(time=stamps, q=[1.0, 2.0]))
+    assert read_log(tmp_path / "a.parquet")["q"].time.tolist() == [0.0, 0.02]
+
+
+def matlab_object(name: str, kind: str) -> bytes:
+    """A variable of a class of MATLAB (array class 17), as MATLAB writes a datetime."""
+
+    def element(code: int, content: bytes) -> bytes:
+        return np.array([code, len(content)], "<u4").tobytes() + content + bytes(-len(content) % 8)
+
+    words = b"".join(element(1, word.encode()) for word in (name, "MCOS", kind))
+    return element(14, element(6, np.array([17, 0], "<u4").tobytes()) + words + mat(x=np.uint32([[1]]))[128:])
+
+
+def test_matlab_objects_are_passed_over_and_named(tmp_path: Path) -> None:
+    objects = matlab_object("when", "datetime") + matlab_object("who", "string")
+    (tmp_path / "a.mat").write_bytes(mat(q=struct()) + objects)
+    log = read_log(tmp_path / "a.mat")
+    assert ([*log], log.provenance["ignored"]) == (["q"], ["when", "who"])
+    (tmp_path / "a.mat").write_bytes(mat(t=np.arange(3.0), data={"u": np.ones(3), "y": np.ones(3)}) + objects)
+    log = read_columns(tmp_path / "a.mat", time="t")
+    assert ([*log], log.provenance["ignored"]) == (
+        ["data.u", "data.y"],
+        ["when (a MATLAB datetime)", "who (a MATLAB string)"],
+    )
+    with pytest.raises(LogError, match=r"'time' is missing .there are: t, data, when .a MATLAB datetime.*--period"):
+        read_columns(tmp_path / "a.mat", time="time")
+    (tmp_path / "a.mat").write_bytes(mat(q=struct()) + mat(q=struct())[128:])
+    with pytest.raises(LogError, match="'q' is there twice"):
+        read_log(tmp_path / "a.mat")
 
 
 GYRO = Channel([0.0, 0.5], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "rad/s", ("x", "y", "z"))

@@ -72,6 +72,10 @@ def identify(
         list[str] | None, option("Which column is that output of the structure; repeatable.", "NAME=COLUMN")
     ] = None,
     time: Annotated[str | None, option("Which column of a table (CSV, Parquet, .mat) is the time.", "COLUMN")] = None,
+    period: Annotated[
+        str | None,
+        option("Of a table without time stamps: the time from row to row, or what names it there.", "SECONDS|NAME"),
+    ] = None,
     hold: Annotated[
         list[str] | None, option("How that input behaves between samples; repeatable.", f"NAME={'|'.join(HOLDS)}")
     ] = None,
@@ -93,7 +97,7 @@ def identify(
     What a doublet's log does not show is held with --impulse LOG: the poles, found from the free response. One flight
     knows nothing of what differs from flight to flight: give several logs and believe their spread.
 
-    Your own: --structure model.py:motor --input u=voltage --output y=speed --time t.
+    Your own: --structure model.py:motor --input u=voltage --output y=speed --time t (or --period 0.02).
 
     Exit status 1: the data do not allow the estimate, or the search did not converge.
     """
@@ -118,11 +122,12 @@ def identify(
     if plot is not None:
         check_place(plot, force)
     numbers = _numbers(value or [])
-    if structure is not None or input or output or time is not None or hold:
+    clock = {name: column for name, column in (("time", time), ("period", period)) if column is not None}
+    if structure is not None or input or output or clock or hold:
         both = structure is not None and model != AUTO
         idle = _given(experiment=experiment is not None, method=simple, impulse=impulse is not None, model=both)
         structures = "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate"
-        unknown, columns = structure is None and model == AUTO, "--input, --output, --time, --hold"
+        unknown, columns = structure is None and model == AUTO, "--input, --output, --time, --period, --hold"
         _refuse(
             (idle, "columns that you name are fitted to a structure, not read as an experiment", idle, "leave it out"),
             (unknown, "which structure is to be fitted to these columns?", columns, structures),
@@ -130,7 +135,7 @@ def identify(
         shape = read_structure(structure, estimate or ()) if structure is not None else structure_for("", model)
         _check_unknowns(shape, estimate or (), numbers)
         records, others = (
-            [own_record(path, shape, input or (), output or (), time, window, hold or ()) for path in paths]
+            [own_record(path, shape, input or (), output or (), clock, window, hold or ()) for path in paths]
             for paths in (files, validate or ())
         )
         records = _distinctly_named(records, files)
@@ -142,7 +147,7 @@ def identify(
         _say(own, {"method": method}, out, json, own.converged)
         if plot is not None and isinstance(own, Estimate):
             if reference is not None:
-                records = [with_reference(records[0], files[0], time, reference)]
+                records = [with_reference(records[0], files[0], clock, reference)]
             _draw(own, shape, [*records, *others], plot, force, reference)
         exit_unless(own.converged)
         return
@@ -193,7 +198,7 @@ def identify(
         converged = found.converged
         if plot is not None and isinstance(found, Estimate):
             if reference is not None:
-                records = [with_reference(records[0], files[0], None, reference), *records[1:]]
+                records = [with_reference(records[0], files[0], {}, reference), *records[1:]]
             _draw(found, shape, records, plot, force, reference)
     _say(found, {"experiment": asked, "method": method}, out, json, converged)
     exit_unless(converged)

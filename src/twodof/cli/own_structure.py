@@ -1,7 +1,7 @@
 """A structure and a record that the command line names: FILE.py:NAME or a diagram, and columns of any table."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -38,20 +38,21 @@ def own_record(
     structure: Structure,
     inputs: Sequence[str],
     outputs: Sequence[str],
-    time: str | None,
+    clock: Mapping[str, str],
     window: tuple[float, float] | None,
     hold: Sequence[str] = (),
 ) -> Record:
     """Return the record of a table or log: `inputs` and `outputs` are NAME=COLUMN, or a name that both share.
 
-    The inputs that are not named are the structure's own; so are the outputs, as far as the table has them. Raises
+    `clock` has the arguments `time` and `period` of `read_columns`; it is empty for a log. The inputs that are not
+    named are the structure's own; so are the outputs, as far as the table has them. Raises
     ParameterError for a name that the structure lacks, LogError for a column that the table lacks.
     """
     ins = _pairs(inputs, structure.inputs, "--input", structure)
     ins = {name: ins.get(name, name) for name in structure.inputs}
     outs = _pairs(outputs, structure.outputs, "--output", structure)
     held = _pairs(hold, structure.inputs, "--hold", structure)
-    log = read_log(path) if time is None else read_columns(path, time)
+    log = read_columns(path, **clock) if clock else read_log(path)
     outs = outs or {name: name for name in structure.outputs if name in log}
     if not outs:
         raise LogError(
@@ -65,14 +66,14 @@ def own_record(
     return Record.from_log(log, ins, outs, start, stop, hold=held)
 
 
-def with_reference(record: Record, path: Path, time: str | None, column: str) -> Record:
+def with_reference(record: Record, path: Path, clock: Mapping[str, str], column: str) -> Record:
     """Return the record with one more input, `column` of its log or table, held from step to step.
 
     Raises LogError for a column that is not there, or has no sample when the record begins.
     """
     if column in record.inputs:
         return record
-    log = read_log(path) if time is None else read_columns(path, time)
+    log = read_columns(path, **clock) if clock else read_log(path)
     _check_column(log, column, "name it: --reference COLUMN")
     held = log.resample(column, record.time + 0.5 * record.dt)
     if held.ndim != 1:
@@ -83,8 +84,9 @@ def with_reference(record: Record, path: Path, time: str | None, column: str) ->
 def _check_column(log: FlightLog, column: str, remedy: str) -> None:
     """Raise LogError for a column that is not there."""
     if column not in log:
-        known = nearest(column, log.channels)
-        raise LogError(f"has no column {shown(column)}", log.source, f"{remedy}; there are: {known}")
+        known, ignored = nearest(column, log.channels), log.provenance.get("ignored")
+        others = f"; not a channel: {listed(ignored)}" if ignored else ""
+        raise LogError(f"has no column {shown(column)}", log.source, f"{remedy}; there are: {known}{others}")
 
 
 def _span(log: FlightLog, columns: Sequence[str]) -> tuple[float, float]:

@@ -40,21 +40,24 @@ def read_log(path: str | Path) -> FlightLog:
     return _read(path, _check(path))
 
 
-def read_columns(path: str | Path, time: str) -> FlightLog:
+def read_columns(path: str | Path, time: str = "", period: str | float = "") -> FlightLog:
     """Read a .csv or .parquet table, or the vectors of a .mat file, whose time stamps [s] are in the column `time`.
 
-    The other columns become channels under their own names; the bracket of a heading such as `speed [m/s]` is the unit.
+    Data without time stamps have a `period` instead: seconds from row to row, or the name of a number in the file. The
+    other columns become channels under their own names; the bracket of a heading such as `speed [m/s]` is the unit.
     Raises LogError for another suffix, a missing column, and a file that is damaged or no table.
     """
+    if bool(time) == bool(period):
+        raise LogError("time stamps come from a column or from a period", str(path), "give one of --time and --period")
     suffix = Path(path).suffix.lower()
     if suffix not in _TABLES:
         raise LogError(f"no table has the suffix {suffix!r:.40}", str(path), f"use {', '.join(_TABLES)}")
-    return _read(path, suffix, time)
+    return _read(path, suffix, time, str(period))
 
 
-def _read(path: str | Path, suffix: str, *time: str) -> FlightLog:
+def _read(path: str | Path, suffix: str, *clock: str) -> FlightLog:
     with naming_file(path):
-        return log_of(*fence.read(_decoded, path, suffix, *time, needs=_MODULES[suffix]))
+        return log_of(*fence.read(_decoded, path, suffix, *clock, needs=_MODULES[suffix]))
 
 
 def attachments(path: str | Path) -> list[Attachment]:
@@ -81,9 +84,9 @@ def answer_of(log: FlightLog) -> fence.Answer:
     return {"channels": rows, "provenance": log.provenance}, arrays
 
 
-def _decoded(data: bytes, where: str, suffix: str, *time: str) -> fence.Answer:
-    """Decode a log. Runs behind the fence."""
-    return answer_of(_function("decode", suffix)(data, where, *time))
+def _decoded(data: bytes, where: str, suffix: str, *clock: str) -> fence.Answer:
+    """Decode a log; `clock` are a column of time stamps and a period. Runs behind the fence."""
+    return answer_of(_function("decode", suffix)(data, where, *clock))
 
 
 def _attachments(data: bytes, where: str) -> fence.Answer:

@@ -1,6 +1,6 @@
 """Flight logs: channels with their own time stamps, units and gaps, and the provenance of the whole."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -82,7 +82,7 @@ class Channel:
         if backward.size:
             k = int(backward[0])
             what = f"time does not increase: sample {k + 1} at {time[k + 1]!s} s follows {time[k]!s} s"
-            raise LogError(what, where, "sort the samples and remove repeated stamps")
+            raise LogError(what, where, "sort the samples and remove repeated stamps; give two runs as two files")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "value", value)
         object.__setattr__(self, "fields", tuple(self.fields))
@@ -286,6 +286,20 @@ def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.floa
             where,
             "leave the sample out together with its time stamp: the channel then has a gap there",
         )
+
+
+def row_times(rows: int, period: str, scalar: Callable[[str], float], where: str) -> NDArray[np.float64]:
+    """Return the times (n,) [s] of `rows` rows without time stamps, from 0.
+
+    `period` is a number of seconds, or names a number of the file that `scalar` returns. Raises LogError.
+    """
+    try:
+        found = float(period)
+    except ValueError:
+        found = scalar(period)
+    if not 0.0 < found < np.inf:
+        raise LogError(f"a period of {found:g} s", where, "give seconds above 0, as --period 0.02")
+    return found * np.arange(rows)
 
 
 def sanitise(

@@ -5,17 +5,18 @@ import warnings
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
+from struct import unpack_from
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat, savemat
-from scipy.io.matlab import MatReadWarning
+from scipy.io.matlab import MatlabOpaque
 
 from twodof.errors import LogError, nearest, shown
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
-from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.log import Channel, FlightLog, row_times
 from twodof.signals import BY_MAT
 
 _NOTE = "provenance"
@@ -25,17 +26,22 @@ _LOGICAL = frozenset({"openloop", "enableM", "enableT"})
 _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
-def decode_mat(data: bytes, where: str, time: str = "") -> FlightLog:
+def decode_mat(data: bytes, where: str, time: str = "", period: str = "") -> FlightLog:
     """Return the log in the bytes of a .mat file. Channels that TOPICS does not know are kept, without a unit.
 
     `time` names a vector of time stamps [s], if the file is not such a log: its vectors of that length become channels.
+    With a `period`, a number of seconds or the name of a scalar, all vectors become channels. Vectors in a struct are
+    named as in MATLAB, `data.u`.
 
     Raises LogError for a file that is truncated, foreign or damaged and for channels that Channel refuses. Variables
     that are not channels are named in provenance["ignored"].
     """
     held = _variables(data, where)
-    if time:
-        return FlightLog(_vectors(held, where, time), {"file": provenance.of_file(where, data, "mat")})
+    if time or period:
+        channels = _vectors(held, where, time, period)
+        ignored = [_described(name, value) for name, value in held.items() if isinstance(value, MatlabOpaque)]
+        kept = {"file": provenance.of_file(where, data, "mat"), **({"ignored": ignored} if ignored else {})}
+        return FlightLog(channels, kept)
     channels = {}
     for name, value in held.items():
         fields = _struct(value)
@@ -45,9 +51,11 @@ def decode_mat(data: bytes, where: str, time: str = "") -> FlightLog:
             what = f"channel {name!r} is not a struct {{timestamp, value}} of real numbers"
             raise LogError(what, where, "export the log again")
     if not channels:
-        names = ", ".join(held) or "nothing"
+        names = ", ".join(_described(*item) for item in held.items()) or "nothing"
         raise LogError(
-            f"no struct {{timestamp, value}} in the file, which holds: {names}", where, "give a log of the drone"
+            f"no struct {{timestamp, value}} in the file, which holds: {names}",
+            where,
+            "give a log of the drone; `twodof identify` reads vectors: --time NAME or --period SECONDS",
         )
     note = held.get(_NOTE)
     noted = isinstance(note, np.ndarray) and note.dtype.kind == "U" and note.size == 1
@@ -75,38 +83,74 @@ def write_mat(log: FlightLog, path: str | Path) -> None:
 
 
 def _variables(data: bytes, where: str) -> dict[str, Any]:
-    """Return the variables of a MATLAB v5 file by name. Raises LogError."""
+    """Return the variables of a MATLAB v5 file by name, objects (datetime, string, table) as MatlabOpaque.
+
+    Raises LogError.
+    """
     if data[:10] == b"MATLAB 7.3" or data[:4] == b"\x89HDF":
         raise LogError("is a MATLAB v7.3 (HDF5) file", where, "save it in MATLAB with save(..., '-v7')")
     if data[126:128] not in (b"IM", b"MI"):
-        raise LogError("is not a MATLAB v5 file", where, "give a .mat log of the drone")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("error", MatReadWarning)  # a variable that is there twice
-        found = loadmat(BytesIO(data))
+        raise LogError("is not a MATLAB v5 file", where, "save it in MATLAB with save(..., '-v7')")
+    found: dict[str, Any] = {}
+    at = 128
+    while at < len(data):
+        # One by one: scipy gives every object the name "None".
+        size = unpack_from("<I" if data[126:128] == b"IM" else ">I", data, at + 4)[0] if at + 8 <= len(data) else 0
+        with warnings.catch_warnings(action="ignore"):
+            one = loadmat(BytesIO(data[:128] + data[at : at + 8 + size]))
+        for name, value in one.items():
+            name = value["s0"].item().decode("latin-1") if isinstance(value, MatlabOpaque) else name
+            if name in found and not name.startswith("__"):
+                raise LogError(f"variable {shown(name)} is there twice", where, "save the file again")
+            found[name] = value
+        at += 8 + size
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _vectors(held: Mapping[str, Any], where: str, time: str) -> dict[str, Channel]:
-    """Return the real vectors that are as long as the one called `time`, as channels. Raises LogError."""
-    if time not in held:
-        raise LogError(f"variable {shown(time)} is missing", where, f"there are: {nearest(time, held)}")
-    vectors = {
+def _described(name: str, value: object) -> str:
+    """Return the name of a variable, and its class if it is a MATLAB object."""
+    return f"{name} (a MATLAB {value['s2'].item().decode('latin-1')})" if isinstance(value, MatlabOpaque) else name
+
+
+def _vectors(held: Mapping[str, Any], where: str, time: str, period: str) -> dict[str, Channel]:
+    """Return the real vectors as channels, with `time` those of its length. Raises LogError."""
+    numbers = {
         name: np.asarray(value, dtype=np.float64).ravel()
-        for name, value in held.items()
+        for name, value in _flat(held).items()
         if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.size == max(value.shape, default=0)
     }
-    if time not in vectors:
+    there = nearest(time or period, [_described(*item) for item in held.items()])
+
+    def scalar(name: str) -> float:
+        if name not in numbers or numbers[name].size != 1:
+            raise LogError(f"no scalar is called {shown(name)}", where, f"give seconds, or one of: {there}")
+        return float(numbers[name][0])
+
+    vectors = {name: vector for name, vector in numbers.items() if vector.size > 1}
+    if period:
+        times = {size: row_times(size, period, scalar, where) for size in {one.size for one in vectors.values()}}
+    elif time not in held and time not in numbers:
+        remedy = f"there are: {there}; without time stamps: --period SECONDS"
+        raise LogError(f"variable {shown(time)} is missing", where, remedy)
+    elif time not in vectors:
         raise LogError(f"{time!r:.80} is not a vector of numbers", where, "name the vector of time stamps")
-    stamps = vectors.pop(time)
+    else:
+        times = {vectors[time].size: vectors.pop(time)}
     channels = {
-        name: Channel(stamps, vector, name=f"{where}: {name}")
+        name: Channel(times[vector.size], vector, name=f"{where}: {name}")
         for name, vector in vectors.items()
-        if vector.size == stamps.size
+        if vector.size in times
     }
     if not channels:
-        raise LogError(f"no vector is as long as {time!r:.80} ({stamps.size})", where, "give vectors of one length")
+        what = f"no vector is as long as {time!r:.80} ({next(iter(times))})" if time else "holds no vector"
+        raise LogError(what, where, f"give vectors of one length; there are: {there}")
     return channels
+
+
+def _flat(held: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the variables, the fields of a 1 x 1 struct of matrices as variables too."""
+    fields = {f"{name}.{field}": part for name, value in held.items() for field, part in _struct(value).items()}
+    return {**held, **fields}
 
 
 def _struct(value: object) -> dict[str, NDArray[np.float64]]:

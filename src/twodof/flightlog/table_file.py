@@ -8,8 +8,13 @@ channel has no sample at that time.
 
 Units and provenance travel as one line of JSON: in Parquet's schema metadata, in CSV behind `#` in the first line. Both
 forms read back bit for bit.
+
+Wide CSV of other programs may have semicolons or tabs between its columns, with decimal commas, a line of units below
+the heading, comments above it, and text in UTF-16. Time stamps may be dates, or in the unit that their heading names.
 """
 
+import codecs
+import csv
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -27,7 +32,8 @@ from numpy.typing import NDArray
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
-from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.log import Channel, FlightLog, row_times
+from twodof.flightlog.text_file import SEPARATORS, separator_of, text_of
 from twodof.signals import BY_MAT, unit_of
 
 COLUMNS = ("channel", "field", "time", "value")
@@ -39,6 +45,15 @@ MAX_COLUMNS = 1000
 
 _META = "twodof.flightlog"
 _VERSION = 1
+_NUMBER = re.compile(r"[-+]?[\d.,]*\d[-+\d.,:/TZeE ]*|nan|inf", re.IGNORECASE)
+"""A number or a date in a cell of CSV."""
+_PER_SECOND = {
+    **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "milliseconds"), 1e3),
+    **dict.fromkeys(("us", "usec", "microseconds", "\u00b5s", "\u03bcs"), 1e6),
+    "ns": 1e9,
+}
+"""How many of a unit of time, as a heading names it, are a second."""
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
 
@@ -65,9 +80,10 @@ def write_csv(log: FlightLog, path: str | Path, wide: bool = False) -> None:
         pa_csv.write_csv(table, file, pa_csv.WriteOptions(quoting_style="none"))
 
 
-def decode_parquet(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLog:
+def decode_parquet(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "") -> FlightLog:
     """Return the log in a long or wide Parquet table; the column `time` of a wide one holds the time stamps [s].
 
+    With a `period`, a number of seconds or the name of a constant column, its rows follow each other so.
     Raises LogError for a file that is not a log or is damaged.
     """
     heads = pq.read_metadata(BytesIO(data))
@@ -77,54 +93,104 @@ def decode_parquet(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLo
     file = pq.ParquetFile(BytesIO(data), metadata=heads, page_checksum_verification=True, read_dictionary=names)
     table = file.read(use_threads=False)
     meta = (table.schema.metadata or {}).get(_META.encode())
-    return _log(table, meta, provenance.of_file(where, data, "parquet"), where, time)
+    return _log(table, meta, provenance.of_file(where, data, "parquet"), where, time, period)
 
 
-def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLog:
-    """Return the log in a long or wide CSV table; the column `time` of a wide one holds the time stamps [s].
+def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "") -> FlightLog:
+    """Return the log in a long or wide CSV table; `time` and `period` as in `decode_parquet`.
 
     Raises LogError for a file that is not a log or is damaged.
     """
-    comments, at, meta = 0, 0, None
-    while data[at : at + 1] == b"#":
-        end = data.find(b"\n", at) + 1 or len(data)
-        if data[at:end].startswith(f"# {_META} ".encode()):
-            meta = data[at + len(_META) + 3 : end]
-        comments, at = comments + 1, end
-    if meta is not None and not data.endswith(b"\n"):
-        raise LogError("truncated: the last line has no end", where, "write it again")
-    end = data.find(b"\n", at) + 1 or len(data)
-    heading = data[at:end].decode("utf-8-sig", "replace").strip()
-    names = [cell.strip().strip('"') for cell in heading.split(",")]
+    file = provenance.of_file(where, data, "csv")
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:
+            data = text_of(data).encode()
+        except UnicodeError as reason:
+            raise LogError("is not text in UTF-16", where, "save it as CSV in UTF-8") from reason
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if b"\n" not in data:
+        data = data.replace(b"\r", b"\n")
+    names, separator, start, meta = _heading(data, where)
     _check_names(names, where)
     # As dictionaries: a name that is repeated is there once.
     texts = dict.fromkeys(COLUMNS[:2], pa.dictionary(pa.int32(), pa.string())) if _is_long(names) else {}
+    # The type of time stamps is found, since they may be dates.
+    dates = [] if meta or _is_long(names) else [name for name in names if _is_time(name, time)]
     try:
         table = pa_csv.read_csv(
-            BytesIO(data),
-            pa_csv.ReadOptions(skip_rows=comments + 1, column_names=names, use_threads=False),
-            convert_options=pa_csv.ConvertOptions(
-                column_types={name: texts.get(name, pa.float64()) for name in names},
+            pa.BufferReader(pa.py_buffer(data)[start:]),
+            pa_csv.ReadOptions(column_names=names, use_threads=False),
+            pa_csv.ParseOptions(delimiter=separator),
+            pa_csv.ConvertOptions(
+                column_types={name: texts.get(name, pa.float64()) for name in names if name not in dates},
                 null_values=[""],
                 strings_can_be_null=False,
+                decimal_point="," if separator != "," and data.find(b",", start) >= 0 else ".",
             ),
         )
     except (pa.ArrowException, UnicodeDecodeError) as reason:
         what = f"is not a table of numbers: {str(reason).partition(chr(10))[0]:.200}"
-        raise LogError(what, where, "give a header line and numbers below it") from reason
-    return _log(table, meta, provenance.of_file(where, data, "csv"), where, time)
+        remedy = (
+            "give a header line and below it numbers, no words and no separators of thousands: columns between commas, "
+            "or between semicolons or tabs, where a comma may be the decimal mark"
+        )
+        raise LogError(what, where, remedy) from reason
+    return _log(table, meta, file, where, time, period)
 
 
-def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, time: str) -> FlightLog:
+def _heading(data: bytes, where: str) -> tuple[list[str], str, int, bytes | None]:
+    """Return names of columns, their separator, the byte at which the rows begin, and the line of JSON if there is one.
+
+    Comments (# or %), empty lines and Excel's `sep=;` may stand above the names, a line of units below them.
+    """
+    end, line, separator, meta = 0, "", "", None
+    while end < len(data) and (not line or line[0] in "#%" or line.startswith("sep=")):
+        at, end = end, data.find(b"\n", end) + 1 or len(data)
+        line = data[at:end].decode("utf-8", "replace").strip()
+        if line.startswith(f"# {_META} "):
+            meta = data[at + len(_META) + 3 : end]
+        if line.startswith("sep="):
+            separator = line[4:] or "\t"
+    if meta is not None and not data.endswith(b"\n"):
+        raise LogError("truncated: the last line has no end", where, "write it again")
+    separator = separator if separator and separator in SEPARATORS else separator_of(line)
+    names = _cells(line, separator)
+    after = data.find(b"\n", end) + 1 or len(data)
+    units = _cells(data[end:after].decode("utf-8", "replace"), separator)
+    if meta is None and len(units) == len(names) and any(units) and not any(map(_NUMBER.fullmatch, units)):
+        if not _is_long(names):
+            names = [
+                f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip(names, units, strict=True)
+            ]
+            end = after
+    return names, separator, end, meta
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the cells of a line of CSV."""
+    cells = next(csv.reader([line.strip("\r\n")], delimiter=separator, skipinitialspace=True), [])
+    return [cell.strip() for cell in cells] or [""]
+
+
+def _is_time(column: str, time: str) -> bool:
+    return time in (column, _name_and_unit(column)[0])
+
+
+def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, time: str, period: str) -> FlightLog:
     names = table.column_names
     described, kept = _described(meta, where)
     if _is_long(names):
         channels = _channels_of_long(table, described, where)
-    elif any(time in (name, _name_and_unit(name)[0]) for name in names):
-        channels = _channels_of_wide(table, described, where, time)
+    elif period:
+        stamps = row_times(len(table), period, lambda name: _constant(table, name, where), where)
+        channels = _channels_of_wide(table, described, where, stamps, "")
+    elif stamp := next((name for name in names if _is_time(name, time)), ""):
+        channels = _channels_of_wide(table, described, where, _times(table, stamp, where), stamp)
     else:
         what = f"no column {time!r:.80} among: {', '.join(names)[:200]}"
-        raise LogError(what, where, "call the column of time stamps 'time', or name it: --time COLUMN")
+        remedy = "call the column of time stamps 'time', or name it: --time COLUMN; without one: --period SECONDS"
+        headless = all(map(_NUMBER.fullmatch, names))
+        raise LogError(what, where, "write the names of the columns above the numbers" if headless else remedy)
     for name, row in described.items():
         count = len(channels[name]) if name in channels else 0
         if count != row["samples"]:
@@ -273,12 +339,45 @@ def _wide_table(log: FlightLog) -> pa.Table:
     return pa.table(columns)
 
 
+def _times(table: pa.Table, stamp: str, where: str) -> NDArray[np.float64]:
+    """Return the time stamps (n,) [s] of a column; those of dates and times of day begin at 0. Raises LogError."""
+    cells = table.column(stamp)
+    kind = cells.type
+    if pa.types.is_string(kind):
+        remedy = "write seconds, or dates as 2026-01-31T12:00:00.000"
+        raise LogError(f"the time stamps in column {stamp!r:.80} are {cells[0].as_py()!r:.40}", where, remedy)
+    if pa.types.is_temporal(kind) and not cells.null_count:
+        exact = pa.time64("ns") if pa.types.is_time(kind) else pa.timestamp("ns", getattr(kind, "tz", None))
+        counted = cells.cast(exact).cast(pa.int64()).to_numpy()
+        return np.asarray((counted - counted[:1]) / 1e9, dtype=np.float64)
+    name, unit = _name_and_unit(stamp)
+    unit = unit or name.rpartition("_")[2] * name.endswith(("_ms", "_us", "_ns"))
+    if unit.lower() not in _PER_SECOND:
+        raise LogError(f"the time stamps are in {unit!r:.40}", where, "write seconds, or name ms, us or ns")
+    return _numbers(table, stamp, where) / _PER_SECOND[unit.lower()]
+
+
+def _constant(table: pa.Table, name: str, where: str) -> float:
+    """Return the number in all rows of a column. Raises LogError."""
+    column = next((one for one in table.column_names if _is_time(one, name)), "")
+    values = np.unique(_numbers(table, column, where, nulls=True)) if column else np.empty(0)
+    values = values[np.isfinite(values)]
+    if values.size != 1:
+        raise LogError(f"no column {name!r:.80} with one number", where, "give seconds, as --period 0.02")
+    return float(values[0])
+
+
 def _channels_of_wide(
-    table: pa.Table, described: Mapping[str, dict[str, Any]], where: str, time_column: str
+    table: pa.Table,
+    described: Mapping[str, dict[str, Any]],
+    where: str,
+    time: NDArray[np.float64],
+    stamp: str,
 ) -> dict[str, Channel]:
-    """Return the channels of a wide table by their described columns; each further column is a channel of its own."""
-    stamp = next(name for name in table.column_names if time_column in (name, _name_and_unit(name)[0]))
-    time = _numbers(table, stamp, where)
+    """Return the channels of a wide table by their described columns; each further column is a channel of its own.
+
+    `time` are the times of its rows, from the column `stamp` ("" if there is none).
+    """
     found = {}
     taken = {stamp}
     for name, row in described.items():
