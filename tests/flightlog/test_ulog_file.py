@@ -14,6 +14,7 @@ from tests.flightlog.test_recorder import kill, start
 from tests.patience import PATIENCE_S
 from twodof.errors import LogError, RecordingError
 from twodof.flightlog.files import convert, read_log, write_log
+from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.recovery import recover
 from twodof.flightlog.ulog_file import scan_ulog
 from twodof.flightlog.ulog_writer import ULogWriter
@@ -116,6 +117,8 @@ def px4_log(n: int = 40) -> bytes:
     }
     made += b"".join(message("F", f"{name}:{text}".encode()) for name, text in formats.items())
     made += message("I", b"\x10char[3] sys_name" + b"PX4")
+    made += message("I", b"\x21char[5] perf_counter_preflight-00" + b"a: 12")  # PX4 of 2018 to 2020
+    made += message("M", b"\x00\x0fchar[2] perf/0:a" + b"b1") + message("I", b"\x07esc[2] e" + bytes(10))
     made += message("P", b"\x0efloat MC_PITCH" + struct.pack("<f", 6.5))
     made += message("Q", b"\x01\x0efloat MC_PITCH" + struct.pack("<f", 6.5))
     names = list(formats)
@@ -186,8 +189,36 @@ def test_px4s_topics_become_channels(tmp_path: Path) -> None:
     assert log["gyr"].fields == ("x", "y", "z")
     assert log.provenance["left_out"] == {"x0": {"not_finite": 20}}
     assert log.provenance["ignored"] == ["esc_status"]
+    assert log.provenance["ulog"]["info"] == {"sys_name": "PX4", "perf_counter_preflight-00": "a: 12"}
     assert log.provenance["parameters"] == {"MC_PITCH": 6.5}
     assert log.provenance["dropouts"] == {"count": 1, "total_s": 0.03}
+
+
+DAY_US = 86_400_000_000
+FIRST_US = 2 * DAY_US
+
+
+@pytest.mark.parametrize("stamp", [0, 1, FIRST_US - DAY_US // 8, FIRST_US + DAY_US // 8, 2 * 10**15, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("at", [[0], [200], [399], [100, 101, 102, 200, 201]])
+def test_stamps_far_off_are_left_out(tmp_path: Path, at: list[int], stamp: int) -> None:
+    made = struct.pack("<7sBQ", b"ULog\x01\x12\x35", 1, FIRST_US) + message("B", bytes(40))
+    made += message("F", b"vehicle_attitude:uint64_t timestamp;float[4] q;")
+    made += message("F", b"battery_status:uint64_t timestamp;float voltage_v;")
+    made += message("A", b"\0\0\0vehicle_attitude") + message("A", b"\0\1\0battery_status")
+    made += message("D", struct.pack("<HQf", 1, FIRST_US + 500, 12.0))
+    for k in range(400):
+        made += message("D", struct.pack("<HQ4f", 0, stamp if k in at else FIRST_US + 4000 * k, 1.0, 0.0, 0.0, 0.0))
+    (tmp_path / "a.ulg").write_bytes(made)
+    log = read_log(tmp_path / "a.ulg")
+    assert log["theta"].time.tolist() == [(FIRST_US + 4000 * k) / 1e6 for k in range(400) if k not in at]
+    assert (len(log["voltage"]), log.provenance["left_out"]) == (1, {"theta": {"far_off": len(at)}})
+
+
+def test_a_long_pause_and_a_start_at_zero_stay(tmp_path: Path) -> None:
+    times = np.concatenate((np.arange(100), 10_000 + np.arange(30))) * 1.0
+    write_log(FlightLog({"theta": Channel(times, times), "q": Channel([0.0, 10_010.0], [1, 2])}), tmp_path / "a.ulg")
+    log = read_log(tmp_path / "a.ulg")
+    assert (log["theta"].time.tolist(), log["q"].time.tolist()) == (times.tolist(), [0.0, 10_010.0])
 
 
 def test_instances_stay_apart_and_subscriptions_join(tmp_path: Path) -> None:

@@ -52,6 +52,8 @@ def info(
     console.print(channels)
     if found["modes_unclear"]:
         console.print(f"modes unknown: {found['modes_unclear']}")
+    for name, counts in found["provenance"].get("left_out", {}).items():
+        console.print(f"left out of {name}: {', '.join(f'{count} {why}' for why, count in counts.items())}")
     for start, end in found["armed_s"]:
         console.print(f"thrust on: {start:.3f} to {end:.3f} s")
     for line in _flown(log):

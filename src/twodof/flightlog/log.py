@@ -21,6 +21,10 @@ MAX_SAMPLES = 50_000_000
 MAX_NAME = 1000
 """Longest name of a channel or field, and longest unit."""
 MAX_CHANNELS = 5000
+FAR_S = 3600.0
+"""Distance of a time stamp from all others of the log that cannot be [s]."""
+RUN = 25
+"""Fewest samples one after the other that prove a pause of `FAR_S` before them."""
 MAX_STRETCHES = 10_000
 """Most stretches (armed, of one mode) in a log: a drone is not armed ten times a second for a quarter of an hour."""
 
@@ -286,6 +290,20 @@ def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.floa
             where,
             "leave the sample out together with its time stamp: the channel then has a gap there",
         )
+
+
+def near_the_others(times: Sequence[NDArray[np.float64]]) -> list[NDArray[np.bool_]]:
+    """Return for each channel which of its time stamps (n,) [s] are less than `FAR_S` from the rest of the log.
+
+    The rest is what stands in runs of `RUN` stamps, or in the longest runs of a shorter log, without a jump of `FAR_S`.
+    Flight controllers and cut files leave single stamps of years, which would stretch the log.
+    """
+    runs = [run for time in times for run in np.split(time, np.flatnonzero(np.abs(np.diff(time)) > FAR_S) + 1)]
+    least = min(RUN, max(map(len, runs), default=0))
+    bounds = np.array([(run.min(), run.max()) for run in runs if run.size >= max(1, least)]).reshape(-1, 2)
+    bounds = bounds[np.argsort(bounds[:, 0])]
+    latest = np.append(-np.inf, np.maximum.accumulate(bounds[:, 1]))
+    return [time <= latest[np.searchsorted(bounds[:, 0], time + FAR_S, side="right")] + FAR_S for time in times]
 
 
 def row_times(rows: int, period: str, scalar: Callable[[str], float], where: str) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog import provenance
-from twodof.flightlog.log import Channel, FlightLog, sanitise
+from twodof.flightlog.log import Channel, FlightLog, near_the_others, sanitise
 from twodof.flightlog.provenance import RECOVER, Loss, noted
 from twodof.flightlog.steps import ASKED, BOOT, STEP_TOPIC, safety_channel, step_channels
 from twodof.flightlog.ulog_writer import (
@@ -80,10 +80,11 @@ def decode_ulg(data: bytes, where: str) -> FlightLog:
 
     The time of a sample is its `timestamp_sample` where the topic has one, else its `timestamp`. A module that `twodof
     px4 export` made gives a channel for each of its signals, such as `twodof_mine_out_m`. The provenance counts in
-    "left_out" the samples that are not finite or repeat a stamp. Its "ignored" names topics that do not become a
-    channel, and "lost_bytes" is the size of a last message that was cut off. A log of the virtual flight controller has
-    the channels, stamps and bits of the log of a simulated flight, without the ground truth. It also has `safety`, the
-    actions of the failsafe and their causes. Raises LogError for a file that is damaged or no ULog.
+    "left_out" the samples that are not finite, repeat a stamp, or have a stamp hours from all others ("far_off"). Its
+    "ignored" names topics that do not become a channel, and "lost_bytes" is the size of a last message that was cut
+    off. A log of the virtual flight controller has the channels, stamps and bits of the log of a simulated flight,
+    without the ground truth. It also has `safety`, the actions of the failsafe and their causes. Raises LogError for a
+    file that is damaged or no ULog.
     """
     return ulog_to_log(scan_ulog(data, where), provenance.of_file(where, data, "ulog"), where)
 
@@ -219,15 +220,22 @@ def ulog_to_log(found: ULogContents, file: dict[str, Any], where: str) -> Flight
     if steps is not None:
         channels = _of_steps(steps, where)
         used = {name for name, _ in found.topics}
+    rows: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
     for name, topic, fields in () if steps is not None else _own_topics() if own else _px4_topics(found):
         columns = found.topic(topic)
         if columns is None or not {"timestamp", *(one.removeprefix("-") for one in fields)} <= columns.keys():
             continue  # of a PX4 that lays this topic out differently: it is named among those ignored
         used.add(topic)
+        rows[name] = _stamps(columns), _values(columns, fields)
+    near = near_the_others([stamps for stamps, _ in rows.values()])
+    for (name, (stamps, values)), kept_rows in zip(rows.items(), near, strict=True):
+        if found.start_us:  # 0 is no time then
+            kept_rows &= stamps > 0.0
         known = BY_MAT.get(name)
         unit, names = (known.unit, known.fields) if known else ("", ())
-        stamps, values = _stamps(columns), _values(columns, fields)
-        channel, counts[name] = sanitise(stamps, values, unit, names, f"{where}: {name}")
+        channel, left_out = sanitise(stamps[kept_rows], values[kept_rows], unit, names, f"{where}: {name}")
+        far = {"far_off": int(np.sum(~kept_rows))} if not kept_rows.all() else {}
+        counts[name] = far | left_out
         if len(channel):
             channels[name] = channel
     if not channels:
@@ -281,9 +289,10 @@ def _of_steps(steps: Columns, where: str) -> dict[str, Channel]:
     """Return the channels of a log that has every step; its other topics repeat them in PX4's layout."""
     try:
         ticks = steps["tick"].astype(np.int64)
-        # A tick that comes twice is of a file that was damaged: the first stays.
-        rising = np.append(True, ticks[1:] > np.maximum.accumulate(ticks)[:-1])
-        ticks, out = ticks[rising], {name: column[rising] for name, column in steps.items()}
+        # A tick that is far off, or comes twice, is of a file that was damaged: of two the first stays.
+        kept = np.flatnonzero(near_the_others([PERIOD * ticks])[0])
+        kept = kept[np.append(True, ticks[kept][1:] > np.maximum.accumulate(ticks[kept])[:-1])[: kept.size]]
+        ticks, out = ticks[kept], {name: column[kept] for name, column in steps.items()}
         channels = step_channels(ticks, out, out[f"{ASKED}mode"].astype(np.int32))
         return channels | _safety(ticks, out)
     except (KeyError, ValueError, TypeError) as reason:
