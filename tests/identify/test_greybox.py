@@ -1,6 +1,7 @@
 """The grey-box fit: several experiments, any diagram, both domains, honest uncertainty, and what it refuses."""
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -14,9 +15,9 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import FirstOrder
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.identify import Record, fit, fit_percent
+from twodof.identify import Estimate, Record, fit, fit_percent
 from twodof.identify.record_simulator import program_of
-from twodof.models import PAPER_PITCH_RATE, PitchRate, Structure, free_response, pitch_rate, velocity
+from twodof.models import PAPER_PITCH_RATE, PitchRate, Structure, free_response, linear_model, pitch_rate, velocity
 
 pytestmark = pytest.mark.slow
 
@@ -48,6 +49,44 @@ def test_a_users_diagram_fits_columns_of_a_table() -> None:
     assert abs(found["T"] - 0.25) < 3.0 * found.sigma("T")
     assert found.noise["y"] == pytest.approx(0.05, rel=0.1)
     assert found.white
+
+
+def motor_record(clock: float = 1.0, u: float = 0.0, y: float = 0.0) -> Record:
+    """Return the record of x' = -2 x + 3 u every .02 s, on a clock of another unit or around another point."""
+    rng = np.random.default_rng(3)
+    applied = np.repeat(rng.choice([-1.0, 1.0], 20), 20)
+    a = np.exp(-0.04)
+    measured = lfilter([0.0, 1.5 * (1.0 - a)], [1.0, -a], applied) + 0.01 * rng.standard_normal(400)
+    columns = {"u": applied + u, "y": measured + y}
+    return Record.from_columns(clock * 0.02 * np.arange(400), columns, ["u"], ["y"])
+
+
+MOTOR = linear_model([["-a"]], [["b"]], [[1]], inputs=["u"], outputs=["y"], guess={"a": 1.0, "b": 1.0})
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("structure", [MOTOR, lag_structure()], ids=["linear", "diagram"])
+@pytest.mark.parametrize(("clock", "unit"), [(1e3, "milli"), (1e6, "micro"), (1e9, "nano")])
+def test_time_that_is_not_in_seconds_is_named(structure: Structure, clock: float, unit: str) -> None:
+    says = f"{re.escape(f'within a step of {0.02 * clock:g} s')}, .*time is in {unit}seconds"
+    with pytest.raises(IdentificationError, match=says):
+        fit(structure, motor_record(clock))
+
+
+def test_signals_far_from_zero_are_named() -> None:
+    def offsets(found: Estimate) -> list[str]:
+        return [one for one in found.remarks if "far from 0" in one]
+
+    assert offsets(fit(MOTOR, motor_record())) == offsets(fit(lag_structure(), motor_record())) == []
+    far = motor_record(u=1500.0, y=20.0)
+    (said,) = offsets(fit(MOTOR, far))
+    assert "u lies at 1500 +- 1 and y lies at 20" in said
+    assert "estimate u_trim too, or estimate y_bias too, or subtract the mean" in said
+    (said,) = offsets(fit(lag_structure(), far))
+    assert said.endswith("account for: subtract the mean")
+    found = fit(MOTOR, far, estimate=("a", "b", "x1_0", "u_trim"))
+    assert (found["a"], found["b"]) == pytest.approx((2.0, 3.0), rel=0.02)
+    assert offsets(found) == []
 
 
 def test_the_noise_of_short_records_is_not_underrated() -> None:

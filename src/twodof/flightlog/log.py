@@ -317,7 +317,7 @@ def row_times(rows: int, period: str, scalar: Callable[[str], float], where: str
         found = scalar(period)
     if not 0.0 < found < np.inf:
         raise LogError(f"a period of {found:g} s", where, "give seconds above 0, as --period 0.02")
-    return found * np.arange(rows)
+    return np.asarray(found * np.arange(rows), dtype=np.float64)
 
 
 def sanitise(

@@ -290,7 +290,7 @@ def _of_steps(steps: Columns, where: str) -> dict[str, Channel]:
     try:
         ticks = steps["tick"].astype(np.int64)
         # A tick that is far off, or comes twice, is of a file that was damaged: of two the first stays.
-        kept = np.flatnonzero(near_the_others([PERIOD * ticks])[0])
+        kept = np.flatnonzero(near_the_others([np.asarray(PERIOD * ticks)])[0])
         kept = kept[np.append(True, ticks[kept][1:] > np.maximum.accumulate(ticks[kept])[:-1])[: kept.size]]
         ticks, out = ticks[kept], {name: column[kept] for name, column in steps.items()}
         channels = step_channels(ticks, out, out[f"{ASKED}mode"].astype(np.int32))

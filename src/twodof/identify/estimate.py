@@ -41,7 +41,8 @@ class Estimate:
     Under one that is not white, `covariance` and all tests are those of its prediction errors. `identification` and
     `validation` compare model and data, one entry an output of a record. `prior` is what was known before of the
     unknowns that were estimated: mean and standard deviation. It is part of the estimate and of its doubt. `gaps` says
-    where inputs lost so many samples in a row that it is not known what was applied (`Record.gaps`).
+    where inputs lost so many samples in a row that it is not known what was applied (`Record.gaps`). `offsets` names
+    inputs and outputs far from 0 that the model does not account for.
     """
 
     structure: str
@@ -65,6 +66,7 @@ class Estimate:
     at_rest: tuple[str, ...] = ()
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     gaps: tuple[str, ...] = ()
+    offsets: tuple[str, ...] = ()
 
     def __getitem__(self, label: str) -> float:
         """Return the value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
@@ -236,6 +238,7 @@ def _on_search(found: Estimate) -> Iterator[str]:
     """Yield remarks on the end of the search and on what was held."""
     if not found.converged:
         yield "the search did not converge: give better first guesses or fix unknowns"
+    yield from found.offsets
     for gap in found.gaps:
         yield f"{gap}: fit the pieces between (Record.pieces)"
     for label in found.at_bound:

@@ -7,7 +7,8 @@ residual has a colour, a noise model takes it out of residual and sensitivities 
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +29,17 @@ from twodof.models.structure import Structure, check_structure
 
 Array = NDArray[np.float64]
 
+_OFFSET = 5.0
+"""Mean of a signal in its standard deviations above which it lies far from 0."""
+_POOR = 80.0
+"""FIT [%] below which an offset that the structure has no unknown for is named."""
+_COARSE_S = 0.1
+"""Shortest step of a record whose time may be in another unit than seconds [s]."""
+_UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
 
+
+# A first guess too far out may overflow: what follows is an error of ours.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit(
     structure: Structure,
     records: Record | Iterable[Record],
@@ -79,15 +90,21 @@ def fit(
         what = f"'{twice[0]}' is named twice in `estimate`" if twice else "`estimate` names no unknown"
         raise structure.error(what, "name each unknown once, and at least one")
     check_disturbance(disturbance, band is not None, bool(noise), where)
-    problem = Problem(structure, several, wanted, values or {}, bounds, _names(separate), band, prior)
-    found = search(problem, _solve(problem, noise or {}), disturbance, bool(noise))
+
+    def posed(records: Sequence[Record]) -> Problem:
+        return Problem(structure, records, wanted, values or {}, bounds, _names(separate), band, prior)
+
+    problem = posed(several)
+    with _naming_the_unit_of_time(posed, several, where):
+        found = search(problem, _solve(problem, noise or {}), disturbance, bool(noise))
     minimum, jacobian = found.minimum, found.jacobian
     labels = [slot.label for slot in problem.slots]
     free = np.flatnonzero(~minimum.at_bound)
     if free.size == 0:
         raise structure.error("every unknown is held by a bound", "widen the bounds or check the signs")
     try:
-        condition = check_identifiable(jacobian[:, free], problem.scale[free], [labels[i] for i in free], where)
+        with _naming_the_unit_of_time(posed, several, where):
+            condition = check_identifiable(jacobian[:, free], problem.scale[free], [labels[i] for i in free], where)
     except IdentificationError:
         moving = tuple(name for name in wanted if name not in structure.at_rest)
         left = np.array([i for i in free if problem.slots[i].unknown.name in moving], dtype=np.int64)
@@ -116,6 +133,7 @@ def fit(
     robust[np.ix_(known, known)] = robust_covariance(
         jacobian[:, known], found.prediction_error, problem.blocks, band is not None
     )
+    compared = _comparisons(problem, minimum.x, found)
     sigmas = dict(zip(problem.noise(), (problem.sigma * found.deviation).tolist(), strict=True))
     return Estimate(
         structure=structure.name,
@@ -129,7 +147,7 @@ def fit(
         fixed={name: value for name, value in problem.values(minimum.x, 0).items() if name not in wanted},
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition,
-        identification=_comparisons(problem, minimum.x, found),
+        identification=compared,
         validation=_validation(problem, minimum.x, checked, like),
         iterations=minimum.iterations,
         converged=minimum.converged,
@@ -138,7 +156,57 @@ def fit(
         disturbance=found.model,
         prior=problem.known,
         gaps=tuple(_gaps(structure, several)),
+        offsets=tuple(_offsets(problem, wanted, any(one.fit_percent < _POOR for one in compared))),
     )
+
+
+@contextmanager
+def _naming_the_unit_of_time(
+    posed: Callable[[Sequence[Record]], Problem], records: Sequence[Record], where: str
+) -> Iterator[None]:
+    """Explain an error of a fit by a time that is not in seconds, if the first guess follows the steps in that unit."""
+    try:
+        yield
+    except IdentificationError as error:
+        step = max(record.dt for record in records)
+        for unit, factor in _UNITS if step >= _COARSE_S else ():
+            problem = posed([replace(record, dt=record.dt / factor) for record in records])
+            jacobian = problem.jacobian(problem.x0, problem.residual(problem.x0))
+            try:
+                check_identifiable(jacobian, problem.scale, [slot.label for slot in problem.slots], where)
+            except (IdentificationError, np.linalg.LinAlgError):
+                continue
+            raise IdentificationError(
+                f"the first guess is unstable or at rest within a step of {step:g} s, not within {step / factor:g} s",
+                where,
+                f"if the time is in {unit}, divide it by {factor:.0f} (in a table, its heading may name the unit); "
+                "else give other first guesses",
+            ) from error
+        raise
+
+
+def _offsets(problem: Problem, wanted: Collection[str], poor: bool) -> Iterator[str]:
+    """Yield the inputs and outputs far from 0 that no trim, bias or good fit accounts for."""
+    structure = problem.structure
+    bare = poor and not any(name.endswith(("_trim", "_bias")) for name in structure.unknowns)
+    for r, record in enumerate(problem.records):
+        held = problem.values(problem.x0, r)
+        signals = [(name, f"{name}_trim", record.inputs[name]) for name in structure.inputs]
+        signals += [(name, f"{name}_bias", record.outputs[name].value) for name in problem.outputs]
+        if any(unknown in wanted or held.get(unknown) for _, unknown, _ in signals):
+            continue
+        far = [
+            (f"{name} lies at {value.mean():.4g} +- {value.std():.2g}", unknown)
+            for name, unknown, value in signals
+            if 1e-9 < value.std() / max(abs(value.mean()), 1e-300) < 1.0 / _OFFSET
+            and (bare or unknown in structure.unknowns)
+        ]
+        if far:
+            remedies = [f"estimate {unknown} too" for _, unknown in far if unknown in structure.unknowns]
+            yield (
+                f"{' and '.join(text for text, _ in far)} in '{record.name}', far from 0, which the model does not "
+                f"account for: {', or '.join([*remedies, 'subtract the mean'])}"
+            )
 
 
 def _gaps(structure: Structure, records: Sequence[Record]) -> Iterator[str]:
@@ -180,7 +248,8 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
         x = minimum.x
         if not math.isfinite(minimum.cost):
             raise problem.structure.error(
-                "the model's outputs are not finite at the first guess",
+                "the model's outputs are not finite at the first guess: it is unstable, or too fast for steps of "
+                f"{max(record.dt for record in problem.records):g} s",
                 "choose other first guesses, or a smaller step (substeps)",
             )
         change = _reweight(problem, minimum.residual, open_)
