@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -157,3 +158,21 @@ def test_a_missing_node_package_skips_or_fails(tmp_path: Path, monkeypatch: pyte
 
 def test_continuous_integration_requires_the_tools() -> None:
     assert "export TWODOF_REQUIRE_TOOLS=1" in (PROJECT / ".ci" / "run").read_text()
+
+
+@pytest.mark.parametrize("target", ["web", "demo", "play", "check"])
+def test_make_works_in_a_folder_with_spaces(tmp_path: Path, target: str) -> None:
+    folder = tmp_path / "My Drive - Università"
+    machine = Machine(tmp_path, ("make",), root=False, apt=None)
+    for name in ("tools/web.sh", ".venv/bin/python", ".venv/bin/twodof", ".venv/bin/ruff", ".venv/bin/mypy"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        machine.write("script", 'echo "$#|$1|$2" >> "$CALLS"')
+        shutil.move(machine.bin / "script", folder / name)
+    shutil.copy(PROJECT / "Makefile", folder)
+    made = [arg for name in ("run", "sandbox", "dev") for arg in ("-o", f".venv/ready-{name}")]
+    command = ["make", "-C", str(folder), *made, target]
+    environment = {**os.environ, "CALLS": str(machine.calls)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    step = "build" if target in ("web", "demo") else target
+    assert f"2|{folder}/.venv/bin/python|{step}" in machine.calls.read_text().splitlines()
