@@ -1,14 +1,20 @@
 """A parameter set is always whole and valid, and every change can be taken back."""
 
 import json
+import re
 import threading
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twodof.compile.builder import emit_program
 from twodof.errors import ParameterError
-from twodof.parameters import NAME_LENGTH, PARAMETERS, PRESETS, Parameter, ParameterSet
+from twodof.experiment import Laboratory
+from twodof.flight.core import core
+from twodof.flight.estimator import POSITION_FILTERS
+from twodof.parameters import NAME_LENGTH, PARAMETERS, PRESETS, TUNABLES, Parameter, ParameterSet
+from twodof.signals import PERIOD
 
 pytestmark = pytest.mark.slow
 
@@ -120,3 +126,20 @@ def test_a_table_is_checked_when_it_is_made() -> None:
         ParameterSet(table=twice)
     with pytest.raises(ParameterError, match="no such parameter"):
         ParameterSet()["B"]
+
+
+@pytest.mark.long
+def test_an_equation_reads_every_row() -> None:
+    """In the C of some estimator, a line other than a default, the struct and the table names it."""
+    emitted = [emit_program(core(position_filter=kind, failsafe=True), PERIOD).source for kind in POSITION_FILTERS]
+    read = {name for source in emitted for name in re.findall(r"p->(\w+)\b(?! = )", source)}
+    assert [path for path in TUNABLES if path.replace(".", "_") not in read] == []
+
+
+@pytest.mark.parametrize("name", ["ATT_KP", "cascade.attitude.kp"])
+def test_a_simulation_is_tuned_by_name_and_path(name: str) -> None:
+    laboratory = Laboratory(tuning={name: 5.0})
+    assert laboratory.loop.machine.get("flight.cascade.attitude.kp") == 5.0
+    assert laboratory.fly("doublet").log.provenance["parameters"] == {"ATT_KP": 5.0}
+    with pytest.raises(ParameterError, match="16 is outside 0 to 15"):
+        Laboratory(tuning={name: 16.0})

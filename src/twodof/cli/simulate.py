@@ -50,7 +50,7 @@ def simulate(
         ),
     ] = None,
     tune: Annotated[
-        list[str] | None, option("Set a parameter of a controller, such as attitude_control.k_q=0.1.", "PATH=VALUE")
+        list[str] | None, option("Set a parameter, such as RATE_KP=0.05 or attitude_control.k_q=0.1.", "PATH=VALUE")
     ] = None,
     precision: Precision = "float64",
     seed: Annotated[int, option("Seed of the noise; the same seed gives the same flight.", min=0, max=2**32 - 1)] = 1,

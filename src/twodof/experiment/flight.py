@@ -23,7 +23,7 @@ from twodof.flight.templates import by_kind
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.provenance import versions
 from twodof.flightlog.steps import step_channels
-from twodof.parameters import ParameterSet
+from twodof.parameters import TUNABLES, ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.signals import PERIOD
 from twodof.sim.closed_loop import ClosedLoop, InitialState
@@ -180,9 +180,10 @@ class Laboratory:
     `conditions` are further rig parameters such as `trim` or `rail_force`; `noise` scales all noise (0: none).
     `controllers` fly in place of the stock loops and mixer, at most one of each template (`flight.templates`). They are
     diagrams, JSON files, or names of starter diagrams such as "lqr-attitude"; `tuning` sets their parameters by path,
-    such as "attitude_control.k_theta". `precision` is "float64" or "float32", that of a flight controller. With
-    `failsafe` the failsafe is part of the flight code, as on board. It is armed and disarmed as `script` says, and its
-    actions are in `signals`. Without a fault the flight has the same bits as without failsafe.
+    such as "attitude_control.k_theta", and those of the flight code, such as "RATE_KP". `precision` is "float64" or
+    "float32", that of a flight controller. With `failsafe` the failsafe is part of the flight code, as on board. It is
+    armed and disarmed as `script` says, and its actions are in `signals`. Without a fault the flight has the same bits
+    as without failsafe.
 
     Raises ParameterError for a rig, gains or tuning that cannot be read or set, and for a `noise` below 0 or not
     finite; DiagramError for a controller that cannot be read or fits no template.
@@ -227,6 +228,8 @@ class Laboratory:
             return made
 
         self.loop: ClosedLoop = loop(failsafe)
+        stock = {name: value for name, value in (tuning or {}).items() if name not in self.loop.controllers}
+        self._tuned |= {TUNABLES[name].name or name if name in TUNABLES else name: stock[name] for name in stock}
         # The start is planned on a long rail, where the failsafe would brake.
         self._planning: ClosedLoop = loop(False) if failsafe else self.loop
 

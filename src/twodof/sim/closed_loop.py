@@ -21,7 +21,7 @@ from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
 from twodof.flight.failsafe.state_machine import FLYING
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import TEMPLATES
-from twodof.parameters import ParameterSet
+from twodof.parameters import TUNABLES, ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 from twodof.rig.rotors import RING
@@ -280,6 +280,11 @@ class ClosedLoop:
             for name in self.machine.parameters
             if name.startswith(_OWN)
         }
+        stock = {path: row for path, row in TUNABLES.items() if f"{FLIGHT}{path}" in self.machine.parameters}
+        self.flight_parameters = {
+            name: f"{FLIGHT}{path}" for path, row in stock.items() for name in {path, row.name or path}
+        }
+        """Path in the closed loop of each stock parameter, by its path in the flight code and its name on the wire."""
         self.tune(gains)
         self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
         self.states = frozenset(_state_paths(diagram))
@@ -301,14 +306,16 @@ class ClosedLoop:
         self.machine.set_many({path: value for path, value in values.items() if path in self.machine.parameters})
 
     def tune_controllers(self, values: Mapping[str, Any]) -> None:
-        """Set parameters of the user's controllers, all or none, by paths such as "attitude_control.k_theta".
+        """Set parameters of the user's controllers and of the stock flight code, all or none.
 
-        Raises ParameterError for an unknown path or a value out of its bounds.
+        `values` are by paths such as "attitude_control.k_theta" and "cascade.attitude.limit", or by names on the wire
+        such as "RATE_KP". Raises ParameterError for an unknown path or a value out of its bounds.
         """
+        known = self.flight_parameters | self.controllers
         for path in values:
-            if path not in self.controllers:
-                raise unknown_parameter(path, self.controllers)
-        self.machine.set_many({self.controllers[path]: value for path, value in values.items()})
+            if path not in known:
+                raise unknown_parameter(path, known)
+        self.machine.set_many({known[path]: value for path, value in values.items()})
 
     def controller_parameters(self) -> dict[str, tuple[Param, Any]]:
         """Return declaration and present value of each tunable parameter of the user's controllers, by path."""
