@@ -1,14 +1,20 @@
 """Documentation that fails when it is missing or wrong: docstrings, links, examples, README's code."""
 
 import ast
+import json
+import os
 import re
 import runpy
 import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+import twodof
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -125,12 +131,48 @@ def test_readme_stays_a_screen_and_a_half() -> None:
 
 
 @pytest.mark.long
-def test_readme_code_runs(tmp_path: Path) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (PROJECT / "README.md").read_text(), flags=re.DOTALL)
+def test_readme_code_prints_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (PROJECT / "README.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     assert blocks, "README shows no example of the API"
     script = tmp_path / "readme.py"
     script.write_text("\n".join(blocks))
     run(script, tmp_path)
+    assert capsys.readouterr().out == "".join(re.findall(r"```text\n(.*?)```", page, flags=re.DOTALL))
+
+
+@pytest.mark.long
+def test_readme_shell_block_can_be_pasted(tmp_path: Path) -> None:
+    """In an empty folder; its model is that of the example in Python, which is the same flight."""
+    page = (PROJECT / "README.md").read_text()
+    (block,) = (text for text in re.findall(r"```sh\n(.*?)```", page, flags=re.DOTALL) if "twodof fly" in text)
+    pasted = block.replace(". .venv/bin/activate\n", "set -e\n")
+    programs = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": programs, "PYTHONPATH": str(PROJECT / "src")}
+    done = subprocess.run(
+        ["sh", "-c", pasted], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=10 * PATIENCE_S
+    )
+    assert done.returncode == 0, done.stderr
+    (printed,) = re.findall(r"^mu +([\d.]+)", done.stdout, flags=re.MULTILINE)
+    assert f"mu {float(printed):.1f} rad/s2" in page
+
+
+@pytest.mark.long
+def test_a_notebook_runs(tmp_path: Path) -> None:
+    cells = json.loads((PROJECT / "examples" / "first_flight.ipynb").read_text())["cells"]
+    script = tmp_path / "notebook.py"
+    script.write_text("\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"))
+    run(script, tmp_path)
+
+
+def test_the_versions_agree() -> None:
+    places = {
+        "pyproject.toml": r'^version = "(.+)"',
+        "CITATION.cff": r"^version: (.+)",
+        "README.md": r"twodof-(.+)-py3",
+    }
+    found = {re.findall(text, (PROJECT / name).read_text(), flags=re.MULTILINE)[0] for name, text in places.items()}
+    assert found == {twodof.__version__}
 
 
 @pytest.mark.parametrize(
@@ -152,7 +194,7 @@ def test_the_code_of_a_page_on_design_runs(name: str, tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["recipes", "check-a-diagram"])
+@pytest.mark.parametrize("name", ["recipes", "check-a-diagram", "bring-your-own-rig"])
 def test_each_recipe_prints_what_the_page_says(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (PROJECT / "docs" / "how-to" / f"{name}.md").read_text()
     script = tmp_path / "recipes.py"

@@ -8,13 +8,14 @@ that read their files.
 
 import contextlib
 import io
+import itertools
 import os
 import re
 import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,6 +114,35 @@ def paired(shown: list[str], output: str) -> Iterator[tuple[str, str | None]]:
 def words(line: str) -> list[str]:
     """What of a line does not depend on the noise of a flight: everything but numbers."""
     return [word for word in line.split() if not re.search(r"\d", word)]
+
+
+NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+SAME = 0.02
+"""Share by which a shown number may differ from the printed one. A seed gives the same flight to the bit, but a fit on
+another computer's linear algebra ends elsewhere in its last digits: figures move by a hundredth of a sigma."""
+
+
+def agree(shown: str, printed: str) -> bool:
+    """Return True if the numbers of two lines are the same, to `SAME` or to a unit of the last digit shown."""
+    pairs = [*itertools.zip_longest(NUMBER.findall(shown), NUMBER.findall(printed), fillvalue="nan")]
+    return all(abs(float(a) - float(b)) <= max(SAME * abs(float(b)), _last_digit(a)) for a, b in pairs)
+
+
+def _last_digit(number: str) -> float:
+    mantissa, _, exponent = number.partition("e")
+    return float(10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])))
+
+
+def not_printed(text: str, commands: Iterable[Command]) -> list[str]:
+    """Return the estimates of the prose, such as "359.6 ± .6", that no line of the commands' output has."""
+    shown = " ".join(line for command in commands for line in command.shown)
+    found = [float(number) for number in NUMBER.findall(shown)]
+    stated = re.findall(r"(\d+(?:\.\d+)?) ± (\d*\.?\d+)", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    return [value for pair in stated for value in pair if not any(_rounds(number, value) for number in found)]
+
+
+def _rounds(number: float, value: str) -> bool:
+    return abs(number - float(value)) <= 0.5001 * _last_digit(value)
 
 
 def refreshed(text: str) -> str:
