@@ -16,7 +16,7 @@ from twodof.flightlog.contents import describe
 from twodof.flightlog.files import check_folder, read_log
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.public_data import PUBLIC_LOGS, find
+from twodof.flightlog.public_data import FOREIGN_FILES, PUBLIC_LOGS, find
 from twodof.flightlog.recovery import Recovered
 from twodof.flightlog.recovery import recover as recover_log
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
@@ -252,11 +252,14 @@ def _print_recovered(found: Recovered, target: Path, samples: int, span: tuple[f
 def fetch(
     names: Annotated[list[str] | None, argument("Names of public logs; all of them if none is named.")] = None,
     deadline: Annotated[float, option("Seconds to wait for each download.", min=1.0)] = 60.0,
+    foreign: Annotated[
+        bool, flag("Instead of all of them: files of other programs' tests, which `make thorough` reads.", "--foreign")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Find the public logs of the real drone, downloading those that are not at hand; checksums are verified."""
     found = {}
-    for name in names or PUBLIC_LOGS:
+    for name in names or (FOREIGN_FILES if foreign else PUBLIC_LOGS):
         found[name] = find(name, deadline)
         if not json:
             table_console().print(f"{name}: {found[name]}", soft_wrap=True)

@@ -87,7 +87,7 @@ def _variables(data: bytes, where: str) -> dict[str, Any]:
 
     Raises LogError.
     """
-    if data[:10] == b"MATLAB 7.3" or data[:4] == b"\x89HDF":
+    if data[:10] == b"MATLAB 7.3" or b"\x89HDF" in (data[:4], data[512:516]):
         raise LogError("is a MATLAB v7.3 (HDF5) file", where, "save it in MATLAB with save(..., '-v7')")
     if data[126:128] not in (b"IM", b"MI"):
         raise LogError("is not a MATLAB v5 file", where, "save it in MATLAB with save(..., '-v7')")

@@ -1,8 +1,9 @@
-"""Public flight logs of a real drone: their addresses, and the search for them.
+"""Public flight logs of a real drone and files of other programs: their addresses, and the search for them.
 
 Seven logs of an ANT-X 2DoF Drone, published under the MIT licence in two repositories of M. Di Mauro. They are not part
 of this package. A log is searched in the folder TWODOF_FLIGHT_DATA, then in the cache, and downloaded otherwise. Its
-checksum is verified each time.
+checksum is verified each time. FOREIGN_FILES come from the tests of programs that write such files; ours read them
+where they are at hand.
 """
 
 import hashlib
@@ -32,7 +33,7 @@ _ESTIMATION = (
 
 @dataclass(frozen=True)
 class PublicLog:
-    """One published log: its name in twodof, its address and its checksum.
+    """One published log: its name in twodof and the suffix of its file, its address and its checksum.
 
     `gains` names the gains that flew. Simulations are compared with the channels `compared` of the log in `window` [s],
     a start and an end on the log's time axis.
@@ -45,6 +46,12 @@ class PublicLog:
     gains: str = "default"
     window: tuple[float, float] = (0.0, 0.0)
     compared: tuple[str, ...] = ()
+    suffix: str = ".mat"
+
+    @property
+    def file(self) -> str:
+        """Return the name of its file."""
+        return f"{self.name}{self.suffix}"
 
 
 _ROWS = (
@@ -110,30 +117,119 @@ _ROWS = (
 )
 PUBLIC_LOGS: Mapping[str, PublicLog] = MappingProxyType({row.name: row for row in _ROWS})
 
+_PYULOG = "https://raw.githubusercontent.com/PX4/pyulog/3cf17793f14709713ab297d3743314c658874068/test"
+_SCIPY = "https://raw.githubusercontent.com/scipy/scipy/v1.17.1/scipy/io/matlab/tests/data"
+# Both keep them in Git LFS, which this host serves.
+_MCAP = "https://media.githubusercontent.com/media/foxglove/mcap/95d0673564eac0b27fd9a8616083fdd47c4c2ec7"
+_ULOG = "https://media.githubusercontent.com/media/foxglove/ulog/fcb6db0820b47829c09262588764fe2cf3af9471"
+_FILES = (
+    ("ulog-px4-2016", f"{_PYULOG}/sample.ulg", "81952e6059bc095717e7911c010e07f85749d6b04d332a5ffc51575a3fd0a558"),
+    (
+        "ulog-px4-2019-appended",
+        f"{_PYULOG}/sample_appended_multiple.ulg",
+        "daf30f3224303e39d5c97701e048e84ba04480797e369502331f45ab2e99a2b7",
+    ),
+    (
+        "ulog-px4-small",
+        f"{_PYULOG}/sample_log_small.ulg",
+        "68d1020f688109f027dba08d2950247cc0ae34aaefdcf37e4a7d60838f3e1aa3",
+    ),
+    (
+        "ulog-px4-tagged",
+        f"{_PYULOG}/sample_logging_tagged_and_default_params.ulg",
+        "32f564608d46caf5a4cbb1cb0cd0dc839fb9512b06c6d1384fb96ec3d6c9173d",
+    ),
+    (
+        "ulog-px4-events",
+        f"{_PYULOG}/sample_px4_events.ulg",
+        "4b43a23a7b7f649004facba5c7835d800bbc8cc13e71cbc96678d971451e3d7e",
+    ),
+    (
+        "ulog-truncated",
+        f"{_ULOG}/tests/truncated.ulg",
+        "da9ec75b12b92b98bdf6974d578679d416459bfe7102b8820dc982f696e1f423",
+    ),
+    (
+        "mcap-demo",
+        f"{_MCAP}/testdata/mcap/demo.mcap",
+        "b90a0af442bfc6aaf31d7ae0a361f04d2a4eecca7168f9917391b74697af5c8c",
+    ),
+    (
+        "mcap-one-message",
+        f"{_MCAP}/tests/conformance/data/OneMessage/OneMessage-ch-chx-mx-pad-rch-rsh-st-sum.mcap",
+        "f380e836539fa2bab3d2de4b052aaef82fac40d7a506d994a283f480345daf62",
+    ),
+    (
+        "mcap-one-attachment",
+        f"{_MCAP}/tests/conformance/data/OneAttachment/OneAttachment-ax-pad-st-sum.mcap",
+        "37faf0439dcf55de3be64cff668371987dfafab1f9e78102c74845716ed78a5b",
+    ),
+    (
+        "mcap-not-closed",
+        f"{_MCAP}/rust/mcap/tests/data/chunk_not_closed.mcap",
+        "7b49182be8db86f194a34617cab44720d50460d9caa7ec54cbcf5c19700b8578",
+    ),
+    (
+        "matlab-two-vectors",
+        f"{_SCIPY}/testmulti_7.4_GLNX86.mat",
+        "62be182823f6ef231694ae5438adc1004380c8cafe9b4c9819c8fcbf5b42c7e2",
+    ),
+    (
+        "matlab-hdf5",
+        f"{_SCIPY}/testhdf5_7.4_GLNX86.mat",
+        "66855b1a4dfcfcc0a9a59d0b46be8e134ec72fc641e2b1d780c8fd2f05018068",
+    ),
+    (
+        "matlab-v4",
+        f"{_SCIPY}/test_mat4_le_floats.mat",
+        "db1be7dc2838d37f6c84997ad93f9b1fe55e54ffdb2adc1daaf19f231bfc149e",
+    ),
+    (
+        "matlab-object",
+        f"{_SCIPY}/testobject_7.4_GLNX86.mat",
+        "e4ec0b4cc802065c6c0df8845339558ea7126d5406f97e66230e497d6df04170",
+    ),
+    (
+        "matlab-functions",
+        f"{_SCIPY}/some_functions.mat",
+        "240ef7ea81b7b3c3cf74a85db182be06774b52c1ab24224021106c79220466d3",
+    ),
+    (
+        "matlab-sparse",
+        f"{_SCIPY}/testsparse_7.4_GLNX86.mat",
+        "41b64e0aa22f9da2b45ce1f791a49705efa6ff5fd16f7de9b2af04f963120535",
+    ),
+)
+FOREIGN_FILES: Mapping[str, PublicLog] = MappingProxyType(
+    {name: PublicLog(name, url, sha256, "", suffix=url[url.rindex(".") :]) for name, url, sha256 in _FILES}
+)
+"""Files of the tests of pyulog and foxglove/ulog (PX4's logs), foxglove/mcap and scipy, by name."""
+
 
 def find(name: str, deadline_s: float = 60.0) -> Path:
     """Return the file of a public log, after a download into the cache if it is not on this computer.
 
-    `name` is one of PUBLIC_LOGS, with or without ".mat". Raises LogError for an unknown name, for a wrong
-    checksum, and for a log that is not found and not downloaded within `deadline_s` seconds.
+    `name` is one of PUBLIC_LOGS or FOREIGN_FILES, with or without its suffix. Raises LogError for an unknown name, for
+    a wrong checksum, and for a log that is not found and not downloaded within `deadline_s` seconds.
     """
-    row = PUBLIC_LOGS.get(name.removesuffix(".mat"))
+    known = {**PUBLIC_LOGS, **FOREIGN_FILES}
+    row = next((row for row in known.values() if name in (row.name, row.file)), None)
     if row is None:
-        raise LogError("no such public log", name, f"choose one of {', '.join(PUBLIC_LOGS)}")
+        raise LogError("no such public log", name, f"choose one of {', '.join(known)}")
     return _at_hand(row) or download(row, cache_folder(), deadline_s)
 
 
-def available() -> dict[str, Path]:
-    """Return the files of the public logs that are on this computer, by name.
+def available(rows: Mapping[str, PublicLog] | None = None) -> dict[str, Path]:
+    """Return the files of `rows`, by default the public logs, that are on this computer, by name.
 
     Raises LogError for a file with a log's name and another checksum.
     """
-    found = {name: _at_hand(row) for name, row in PUBLIC_LOGS.items()}
+    found = {name: _at_hand(row) for name, row in (PUBLIC_LOGS if rows is None else rows).items()}
     return {name: path for name, path in found.items() if path is not None}
 
 
 def _at_hand(row: PublicLog) -> Path | None:
-    path = next((path for folder in _folders() if (path := folder / f"{row.name}.mat").is_file()), None)
+    path = next((path for folder in _folders() if (path := folder / row.file).is_file()), None)
     if path is not None:
         _verify(path.read_bytes(), row, path)
     return path
@@ -149,7 +245,7 @@ def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
 
     Raises DownloadError if that does not succeed within `deadline_s` seconds.
     """
-    remedy = f"set {VARIABLE} to a folder that holds {row.name}.mat, or try again with a network"
+    remedy = f"set {VARIABLE} to a folder that holds {row.file}, or try again with a network"
     received: list[bytes | Exception] = []
     # A thread, because looking up a host's name has no deadline of its own.
     thread = threading.Thread(target=lambda: received.append(_receive(row.url, deadline_s)), daemon=True)
@@ -161,7 +257,7 @@ def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
     if isinstance(data, Exception):
         raise DownloadError(f"cannot be downloaded from {row.url}: {data}", row.name, remedy) from data
     _verify(data, row, Path(row.url))
-    path = folder / f"{row.name}.mat"
+    path = folder / row.file
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as refusal:
