@@ -14,7 +14,7 @@ from tests.companion.ends import Ends, frame
 from tests.companion.scripted import Listener, Vehicle, until
 from tests.faults.virtual_time import on_virtual_time, run_virtual
 from tests.link.ends import in_loop
-from twodof.companion.client import MOST_SENDERS, MOST_WISHES, SILENT_S
+from twodof.companion.client import MOST_REQUESTS, MOST_SENDERS, SILENT_S
 from twodof.companion.companion import Companion, Serve
 from twodof.companion.router import BEHIND_S, MOST_PASSED, MOST_ROUNDS
 from twodof.link.mavlink.framing import decode, encode
@@ -42,7 +42,7 @@ def test_a_client_that_asked_for_everything_leaves_nothing_behind() -> None:
         client = ends.join("none")
         for number in range(300):
             ends.says(client, "COMMAND_LONG", 250, **asks(60_000 + 300 * generation + number))
-        assert len(client.wishes) == MOST_WISHES
+        assert len(client.requests) == MOST_REQUESTS
         assert decode(ends.heard(client)[-1]).result == 1
         ends.router.remove(client)
     assert ends.router.streams.asked == before
@@ -59,8 +59,8 @@ def test_a_client_that_moves_keeps_its_streams() -> None:
     ends.says(second, "HEARTBEAT", 250)
     ends.router.remove(first)
     assert ends.answer() == []  # the vehicle goes on
-    assert second.wishes[ATTITUDE].interval == 4000
-    assert other.wishes == {}
+    assert second.requests[ATTITUDE].interval == 4000
+    assert other.requests == {}
 
 
 def test_senders_that_are_passed_on_to_a_client_are_bounded() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from tests.companion.ends import SYSTEM, Ends
 from tests.link.mavlink.test_framing import random_message
-from twodof.companion.client import MOST_IDENTITIES, MOST_WISHES
+from twodof.companion.client import MOST_IDENTITIES, MOST_REQUESTS
 from twodof.companion.component import CompanionComponent, ComputerStatus
 from twodof.companion.router import MOST_BEHIND, Router
 from twodof.link.mavlink import dialect
@@ -52,7 +52,7 @@ def test_no_frame_stops_the_router_or_makes_it_grow(seed: int, keyed: bool) -> N
                 sink.sent.clear()
     for client in ends.clients:
         assert len(client.identities) <= MOST_IDENTITIES
-        assert len(client.wishes) <= MOST_WISHES
+        assert len(client.requests) <= MOST_REQUESTS
         assert len(client.due_once) <= len(dialect.classes())
     assert len(ends.router._behind) <= MOST_BEHIND
 

@@ -1,4 +1,4 @@
-"""Streams: the vehicle is asked for the union of all wishes, and each client gets the messages that it wants."""
+"""Streams: the vehicle is asked for the union of all requests, and each client gets the messages that it wants."""
 
 from math import isfinite
 
@@ -57,7 +57,7 @@ def test_the_vehicle_is_asked_for_the_union() -> None:
     ask(ends, ends.clients[1], ATTITUDE, 4000)
     assert ends.answer() == [(ATTITUDE, 4000.0)]
     ask(ends, ends.clients[0], ATTITUDE, 40_000)
-    assert ends.answer() == [(ATTITUDE, 4000.0)]  # a slower wish does not slow the others down
+    assert ends.answer() == [(ATTITUDE, 4000.0)]  # a slower request does not slow the others down
     ask(ends, ends.clients[1], ATTITUDE, -1)
     assert ends.answer() == [(ATTITUDE, 10_000.0)]
 
@@ -126,10 +126,10 @@ def test_request_data_stream_sets_a_group() -> None:
     ends = Ends("onboard", "onboard")
     ends.settle()
     ends.says(ends.clients[0], "REQUEST_DATA_STREAM", 250, req_stream_id=10, req_message_rate=4, start_stop=1, **TO)
-    assert {number: wish.interval for number, wish in ends.clients[0].wishes.items()} == {
+    assert {number: request.interval for number, request in ends.clients[0].requests.items()} == {
         dialect.message_id(name): 250_000 for name in GROUPS[10]
     }
-    assert ends.clients[1].wishes == {}
+    assert ends.clients[1].requests == {}
     assert ends.up.sent == []  # the other one still wants them faster
 
 
@@ -174,4 +174,4 @@ def test_no_numbers_in_a_command_do_harm(asked: list[tuple[int, float, float]]) 
     ends.settle()
     fly(ends, 0.1)
     for client in ends.clients:
-        assert all(isfinite(wish.interval) for wish in client.wishes.values())
+        assert all(isfinite(request.interval) for request in client.requests.values())

@@ -42,7 +42,7 @@ def test_prior_and_data_combine_as_normal_sources(disturbance: str) -> None:
     rel = 0.05 if disturbance == "white" else 0.15
     assert found.cramer_rao("c") == pytest.approx(weights.sum() ** -0.5, rel=rel)
     assert found["c"] == pytest.approx(weights @ [plain["c"], mean] / weights.sum(), abs=0.25 * deviation)
-    assert "known before: c 2.8 +- 0.04" in found.table()
+    assert "prior: c 2.8 +- 0.04" in found.table()
     assert json.loads(found.to_json())["prior"] == {"c": [mean, deviation]}
 
 

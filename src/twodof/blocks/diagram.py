@@ -359,13 +359,13 @@ def check_base_rate(block: Block, rate: Rate, path: str) -> None:
         raise DiagramError(f"it has {what}, and runs {ticks}", path, "let the block run at the base rate")
 
 
-def told_values(part: Part) -> dict[str, dict[str, Any]]:
+def declared_values(part: Part) -> dict[str, dict[str, Any]]:
     """Return the values that a part declares for its outputs: {"initial": {output: value}, "disabled": ...}."""
     return {"initial": part.initial, "disabled": part.disabled if isinstance(part.disabled, dict) else {}}
 
 
 def two_values(what: str, signal: str, first: Any, second: Any) -> str:
-    """Return the text of an error for two different `told_values` of one signal."""
+    """Return the text of an error for two different `declared_values` of one signal."""
     verb, to = ("starts", "at") if what == "initial" else ("is reset", "to")
     return f"{signal} {verb} {to} {shown(first)} and {to} {shown(second)}"
 

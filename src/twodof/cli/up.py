@@ -31,8 +31,8 @@ from twodof.lab.settings import (
     WATCH_TOKEN,
     LabSettings,
     drawn_tokens,
+    link_warning,
     links,
-    who_gets_in,
 )
 from twodof.link.signing import read_key
 
@@ -145,7 +145,10 @@ async def _run(
                 all_up, found, who = True, None, ""
                 if served is not None:
                     page, settings = served
-                    found, who = links(settings, settings.port) if await page.listens() else None, who_gets_in(settings)
+                    found, who = (
+                        links(settings, settings.port) if await page.listens() else None,
+                        link_warning(settings),
+                    )
                 print_places(places, lockstep, json, fleet.reports, found, who)
                 if open_page and found is not None:
                     await asyncio.to_thread(webbrowser.open, found["command"])
@@ -249,5 +252,5 @@ def print_links(settings: LabSettings, port: int, json: bool) -> None:
         print_json({"port": port, "page": found}, indent=None)
         return
     sys.stdout.write(f"listening on http://{settings.host}:{port}\nthe page         {found['command']}\n")
-    sys.stdout.write(f"only to watch    {found['watch']}\n{who_gets_in(settings)}")
+    sys.stdout.write(f"only to watch    {found['watch']}\n{link_warning(settings)}")
     sys.stdout.flush()

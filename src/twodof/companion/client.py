@@ -16,7 +16,7 @@ from twodof.link.transport.base import Transport
 Identity = tuple[int, int]
 """A MAVLink system and component."""
 MOST_IDENTITIES = 16
-MOST_WISHES = 256
+MOST_REQUESTS = 256
 MOST_SENDERS = 64
 """Senders whose frames to a client are numbered; one more takes the place of the oldest."""
 SILENT_S = 30.0
@@ -63,7 +63,7 @@ def is_ours(message_id: int) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class StreamRequest:
     """The interval [us] at which a message is wanted, and for a batch the mask of its channels."""
 
     interval: int
@@ -87,7 +87,7 @@ class CompanionClient:
     stays: bool = False
     on_board: bool = False
     identities: set[Identity] = field(default_factory=set)
-    wishes: dict[int, Wish] = field(default_factory=dict)
+    requests: dict[int, StreamRequest] = field(default_factory=dict)
     due_once: set[int] = field(default_factory=set)
     """Messages that were requested once by command 512."""
     knows_ours: bool = False
@@ -106,23 +106,23 @@ class CompanionClient:
     def forget(self) -> None:
         """Forget a client that fell silent; the next one at this address may be another."""
         self.identities.clear()
-        self.wishes.clear()
+        self.requests.clear()
         self.due_once.clear()
         self.knows_ours = False
 
-    def set(self, message_id: int, wish: Wish | None) -> bool:
-        """Store the client's wish for a message, None for the default. Return False if the client has too many."""
-        if wish is None:
-            self.wishes.pop(message_id, None)
-        elif message_id in self.wishes or len(self.wishes) < MOST_WISHES:
-            self.wishes[message_id] = wish
+    def set(self, message_id: int, request: StreamRequest | None) -> bool:
+        """Store the client's request for a message, None for the default. Return False if the client has too many."""
+        if request is None:
+            self.requests.pop(message_id, None)
+        elif message_id in self.requests or len(self.requests) < MOST_REQUESTS:
+            self.requests[message_id] = request
         else:
             return False
         return True
 
     def interval(self, message_id: int, default: int = OFF) -> int:
-        """Return the interval [us] at which the client wants a message: its wish, or its `defaults`, or `default`."""
-        asked = self.wishes.get(message_id)
+        """Return the interval [us] at which the client wants a message: that of its request, `defaults`, `default`."""
+        asked = self.requests.get(message_id)
         if asked is not None:
             return asked.interval
         if is_ours(message_id) and not self.knows_ours:

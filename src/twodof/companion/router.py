@@ -9,9 +9,9 @@ from math import inf
 from typing import Any
 
 from twodof.companion import frame_fields
-from twodof.companion.client import SILENT_S, CompanionClient, Identity, Wish, group, is_ours
+from twodof.companion.client import SILENT_S, CompanionClient, Identity, StreamRequest, group, is_ours
 from twodof.companion.frame_fields import CommandFields
-from twodof.companion.streams import Streams, whole, wish_of
+from twodof.companion.streams import Streams, stream_request, whole
 from twodof.companion.uplink_queue import UplinkQueue
 from twodof.link.mavlink.dialect import AUTOPILOT, COMPANION, MavResult
 from twodof.link.mavlink.framing import Frame, decode, encode
@@ -102,8 +102,8 @@ class Router:
 
     def refresh(self) -> None:
         """Request the streams that have changed from the vehicle."""
-        for number, wish in self.streams.changes():
-            self._to_vehicle(message("COMMAND_LONG", **self._interval_fields(number, wish)))
+        for number, request in self.streams.changes():
+            self._to_vehicle(message("COMMAND_LONG", **self._interval_fields(number, request)))
 
     def behind(self, system: int, component: int) -> list[CompanionClient]:
         """Return the clients with this system and component or, if none has it, with this system.
@@ -213,7 +213,7 @@ class Router:
         for before in self.clients:
             moved = before is not client and before.transport is client.transport and identity in before.identities
             if moved and now - before.heard < SILENT_S:
-                client.wishes = before.wishes | client.wishes
+                client.requests = before.requests | client.requests
                 client.knows_ours |= before.knows_ours
 
     def _came_round(self, client: CompanionClient, frame: Frame, now: float) -> bool:
@@ -248,14 +248,14 @@ class Router:
     def _about_message(self, client: CompanionClient, frame: Frame, asked: CommandFields) -> bytes | None:
         """Note what a client wants by command 510, 511 or 512; return the frame for the vehicle, None if denied.
 
-        The vehicle is asked for the union of all wishes. Its answer goes to the client, whose numbers the frame keeps.
-        A frame that was signed with a key that is not here stays as it is.
+        The vehicle is asked for the union of all requests. Its answer goes to the client, whose numbers the frame
+        keeps. A frame that was signed with a key that is not here stays as it is.
         """
         number = whole(asked.params[0])
         sets = asked.command == frame_fields.SET_MESSAGE_INTERVAL
-        wish = wish_of(number, asked) if sets else None
+        request = stream_request(number, asked) if sets else None
         of_truth = client.on_board and number == frame_fields.TRUTH  # nothing on board knows the truth
-        if of_truth or (sets and not client.set(number, wish)):
+        if of_truth or (sets and not client.set(number, request)):
             result = MavResult.DENIED if of_truth else MavResult.TEMPORARILY_REJECTED
             to = {"target_system": frame.system, "target_component": frame.component}
             self.answer(client, message("COMMAND_ACK", command=asked.command, result=result, **to), AUTOPILOT)
@@ -265,7 +265,7 @@ class Router:
         if not sets:
             return frame.raw
         union = self.streams.announce(number)
-        if union == wish or (frame.signed and self.signing is None):
+        if union == request or (frame.signed and self.signing is None):
             return frame.raw
         sent: Any = decode(frame)
         for name, value in self._interval_fields(number, union).items():
@@ -273,9 +273,14 @@ class Router:
                 setattr(sent, name, value)
         return self.encoded(sent, frame.component, frame.sequence, frame.system)
 
-    def _interval_fields(self, number: int, wish: Wish) -> dict[str, float]:
-        """Return the fields of command 511 for a wish."""
-        fields = {"param1": number, "param2": wish.interval, "param3": wish.mask & 0xFFFF, "param4": wish.mask >> 16}
+    def _interval_fields(self, number: int, request: StreamRequest) -> dict[str, float]:
+        """Return the fields of command 511 for a request."""
+        fields = {
+            "param1": number,
+            "param2": request.interval,
+            "param3": request.mask & 0xFFFF,
+            "param4": request.mask >> 16,
+        }
         to = {"target_system": self.system, "target_component": AUTOPILOT}
         return {"command": frame_fields.SET_MESSAGE_INTERVAL, **to, **fields}
 
@@ -287,7 +292,7 @@ class Router:
         interval = round(1e6 / got.req_message_rate) if got.start_stop else -1
         for number, default in client.defaults.items():
             if default > 0 and (chosen is None or number in chosen):
-                client.set(number, Wish(interval))
+                client.set(number, StreamRequest(interval))
         self.refresh()
 
     def _account(self, frame: Frame, identity: Identity) -> None:

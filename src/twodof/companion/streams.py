@@ -1,10 +1,10 @@
-"""Streams of telemetry: the union of the clients' wishes for the vehicle, and the clients that get each message."""
+"""Streams of telemetry: the union of the clients' requests for the vehicle, and the clients that get each message."""
 
 import math
 from collections.abc import Sequence
 from functools import cache
 
-from twodof.companion.client import EVERY, OFF, PROFILES, CompanionClient, Wish, profile
+from twodof.companion.client import EVERY, OFF, PROFILES, CompanionClient, StreamRequest, profile
 from twodof.companion.frame_fields import BATCH, CommandFields
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame
@@ -34,38 +34,44 @@ def _streamed() -> frozenset[int]:
 
 
 class Streams:
-    """The clients and their wishes. `asked` has the wish last sent to the vehicle, by message id."""
+    """The clients and their requests. `asked` has the request last sent to the vehicle, by message id."""
 
     def __init__(self) -> None:
         self.clients: list[CompanionClient] = []
-        self.asked: dict[int, Wish] = {}
+        self.asked: dict[int, StreamRequest] = {}
 
-    def union(self, number: int) -> Wish:
-        """Return the wish that serves all clients: the shortest interval, and of a batch all channels."""
+    def union(self, number: int) -> StreamRequest:
+        """Return the request that serves all clients: the shortest interval, and of a batch all channels."""
         intervals = [client.interval(number) for client in self.clients]
         if number == BATCH:
-            wishes = [wish for client in self.clients if (wish := client.wishes.get(BATCH)) and wish.interval > EVERY]
+            requests = [
+                request
+                for client in self.clients
+                if (request := client.requests.get(BATCH)) and request.interval > EVERY
+            ]
             mask = 0
-            for wish in wishes:
-                mask |= wish.mask
-            every = math.gcd(*(min(max(round(wish.interval / TICK_US), 1), MOST_EVERY) for wish in wishes))
-            return Wish(every * TICK_US, mask) if mask else Wish(OFF)
+            for request in requests:
+                mask |= request.mask
+            every = math.gcd(*(min(max(round(request.interval / TICK_US), 1), MOST_EVERY) for request in requests))
+            return StreamRequest(every * TICK_US, mask) if mask else StreamRequest(OFF)
         timed = [one for one in intervals if one > EVERY]
-        return Wish(min(timed, default=EVERY if EVERY in intervals else OFF))
+        return StreamRequest(min(timed, default=EVERY if EVERY in intervals else OFF))
 
-    def changes(self) -> list[tuple[int, Wish]]:
-        """Return id and wish of each message whose wish has changed, and count it as sent to the vehicle."""
-        numbers = _timed().union(self.asked, *(client.wishes for client in self.clients))
+    def changes(self) -> list[tuple[int, StreamRequest]]:
+        """Return id and request of each message whose request has changed, and count it as sent to the vehicle."""
+        numbers = _timed().union(self.asked, *(client.requests for client in self.clients))
         before = dict(self.asked)
-        return [(number, wish) for number in sorted(numbers) if (wish := self.announce(number)) != before.get(number)]
+        return [
+            (number, request) for number in sorted(numbers) if (request := self.announce(number)) != before.get(number)
+        ]
 
-    def announce(self, number: int) -> Wish:
-        """Return the union of wishes for a message, and count it as sent to the vehicle; forget an unused message."""
-        wish = self.union(number)
-        self.asked[number] = wish
-        if wish.interval == OFF and number not in _timed():
+    def announce(self, number: int) -> StreamRequest:
+        """Return the union of requests for a message and count it as sent; forget an unused message."""
+        request = self.union(number)
+        self.asked[number] = request
+        if request.interval == OFF and number not in _timed():
             del self.asked[number]
-        return wish
+        return request
 
     def receivers(self, frame: Frame) -> Sequence[CompanionClient]:
         """Return the clients that get a message of the vehicle without an addressee."""
@@ -76,16 +82,16 @@ class Streams:
         return [client for client in self.clients if client.wants(frame, interval, default)]
 
 
-def wish_of(number: int, asked: CommandFields) -> Wish | None:
-    """Return the wish in command 511; None for a return to the default, or for numbers that make no sense."""
+def stream_request(number: int, asked: CommandFields) -> StreamRequest | None:
+    """Return the request in command 511; None for a return to the default, or for numbers that make no sense."""
     interval = asked.params[1]
     if not math.isfinite(interval) or (interval == 0.0 and number != BATCH):
         return None
     every = round(min(max(interval, -1.0), LONGEST_US))
     if number != BATCH or every == OFF:
-        return Wish(every)
+        return StreamRequest(every)
     mask = max(whole(asked.params[2]), 0) & 0xFFFF | (max(whole(asked.params[3]), 0) & 0xFFFF) << 16
-    return Wish(every or TICK_US, mask)
+    return StreamRequest(every or TICK_US, mask)
 
 
 def whole(value: float) -> int:

@@ -140,7 +140,9 @@ def received(plan: Script, have: NDArray[np.bool_]) -> FlightCheck:
     edges = np.flatnonzero(np.concatenate(([True], flown, [True])))
     gap = float(np.diff(edges).max() - 1) * PERIOD
     good = missing <= MOST_LOST * len(have) and gap <= LONGEST_GAP
-    seen = f"{missing} of {len(have)} lost" + (f", longest gap in the excitation {1e3 * gap:.0f} ms" if gap else "")
+    seen = f"{len(have) - missing} of {len(have)}" + (
+        f", longest gap in the excitation {1e3 * gap:.0f} ms" if gap else ""
+    )
     return FlightCheck("samples received", good, seen)
 
 

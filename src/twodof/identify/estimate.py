@@ -130,7 +130,7 @@ class Estimate:
         lines = []
         if self.prior:
             known = (f"{name} {mean:.5g} +- {width:.2g}" for name, (mean, width) in self.prior.items())
-            lines.append(f"known before: {', '.join(known)}")
+            lines.append(f"prior: {', '.join(known)}")
         if self.held:
             lines.append(f"held: {', '.join(f'{name} {value:.5g}' for name, value in self.held.items())}")
         return tuple(lines)

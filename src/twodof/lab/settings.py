@@ -95,7 +95,7 @@ def links(settings: LabSettings, port: int) -> dict[str, str]:
     return {"command": base + command, "watch": f"{base}?token={settings.watch_token}" if settings.watch_token else ""}
 
 
-def who_gets_in(settings: LabSettings) -> str:
+def link_warning(settings: LabSettings) -> str:
     """Return a warning about the links for the user who starts a server; "" without tokens."""
     if not settings.needs_token:
         return ""

@@ -26,10 +26,10 @@ from twodof.blocks.diagram import (
     Rate,
     check_base_rate,
     check_condition,
+    declared_values,
     fields_of,
     no_parameter,
     not_connected,
-    told_values,
     two_values,
 )
 from twodof.blocks.expressions.graph import leaves
@@ -225,7 +225,7 @@ class Hierarchy:
                     raise not_connected("output", f"{level.path}.{name}")
             for name, child in level.parts.items():
                 part = level.diagram.parts[name]
-                for what, values in told_values(part).items():
+                for what, values in declared_values(part).items():
                     for output, value in values.items():
                         self._hold(child, output, value, what)
                 if isinstance(child, DiagramLevel):

@@ -16,8 +16,8 @@ from twodof.blocks.diagram import (
     Rate,
     check_base_rate,
     check_condition,
+    declared_values,
     no_parameter,
-    told_values,
     two_values,
 )
 from twodof.blocks.expressions.graph import leaves
@@ -195,7 +195,7 @@ class FlatDiagram:
 
     def _start(self, part: Part, inner: Node | Level) -> None:
         """Give the signals of a part's outputs the values that it declares."""
-        told = [(what, name, value) for what, values in told_values(part).items() for name, value in values.items()]
+        told = [(what, name, value) for what, values in declared_values(part).items() for name, value in values.items()]
         for what, name, value in told:
             where = f"{inner.path}.{name}"
             with self._reported():

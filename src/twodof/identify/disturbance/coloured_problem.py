@@ -30,7 +30,7 @@ _ALIKE = 1024
 
 
 @dataclass(frozen=True)
-class Loudness:
+class NoiseIncrease:
     """The variance of the noise is 1 + `strength` m^2 / (m^2 + `half`^2) times that at rest.
 
     m is how far the input moved within the `window` samples before: its largest less its smallest value.
@@ -67,8 +67,8 @@ def moves(problem: Problem, blocks: Sequence[int]) -> Iterator[tuple[str, int, A
             yield name, window, np.concatenate(list(ranges))
 
 
-def loudness(error: Array, moved: Sequence[tuple[str, int, Array]]) -> Loudness | None:
-    """Return the most likely loudness of white `error` (samples,) after what has `moved`; None if it may be even."""
+def noise_increase(error: Array, moved: Sequence[tuple[str, int, Array]]) -> NoiseIncrease | None:
+    """Return the likeliest increase of white `error` (samples,) by inputs that `moved`; None if it may be even."""
     square = error**2
     power = float(square.mean())
     best, gain = None, _CERTAIN
@@ -85,7 +85,7 @@ def loudness(error: Array, moved: Sequence[tuple[str, int, Array]]) -> Loudness 
             k = int(np.argmax(logs))
             if float(logs[k]) > gain:
                 gain = float(logs[k])
-                best = Loudness(name, window, float(_STRENGTHS[k]), float(half) * largest)
+                best = NoiseIncrease(name, window, float(_STRENGTHS[k]), float(half) * largest)
     return best
 
 
@@ -128,12 +128,12 @@ class NoiseRows:
             found += [slice(start + piece.start, start + piece.stop) for piece in pieces_of(position)]
             start += position.size
         self.pieces = tuple(found)
-        self.loud: Loudness | None = None
+        self.loud: NoiseIncrease | None = None
         self.deviation = np.ones(self.size)
 
     def listen(self, error: Array) -> None:
         """Find how loud the noise is where an input has moved, from its white `error`."""
-        self.loud, self.deviation = loudness(error, self._moves), np.ones(self.size)
+        self.loud, self.deviation = noise_increase(error, self._moves), np.ones(self.size)
         if self.loud is not None:
             place = self.loud.input, self.loud.window
             moved = next(size for name, window, size in self._moves if (name, window) == place)
@@ -270,7 +270,7 @@ class ColouredProblem:
         self._last = None
         return any(noise.loud is not None for noise in self._noises)
 
-    def louder(self) -> dict[str, Loudness]:
+    def louder(self) -> dict[str, NoiseIncrease]:
         """Where a noise is louder, by the names of the noises that are not even."""
         found = ((self.problem.noise_label(k), noise.loud) for k, noise in enumerate(self._noises))
         return {label: loud for label, loud in found if loud is not None}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
-from twodof.identify.disturbance.coloured_problem import Loudness
+from twodof.identify.disturbance.coloured_problem import NoiseIncrease
 from twodof.identify.disturbance.gust import Gust
 from twodof.identify.problem import Problem
 
@@ -42,7 +42,7 @@ class DisturbanceModel:
     change: float = 0.0
     gusts: Mapping[str, Gust] = field(default_factory=dict)
     dt: float = 0.0
-    louder: Mapping[str, Loudness] = field(default_factory=dict)
+    louder: Mapping[str, NoiseIncrease] = field(default_factory=dict)
 
     def of(self, output: str, dt: float) -> Autoregression | None:
         """Return the noise of `output` for a flight with samples `dt` [s] apart; None if it is white.
