@@ -5,6 +5,10 @@ import re
 import sys
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow  # it builds the page
+
 WHOLE = 1_500_000
 """Bytes, gzipped, of everything that any page of it loads."""
 
