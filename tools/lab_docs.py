@@ -35,7 +35,7 @@ A request that is refused is answered by `{{"what", "where", "remedy"}}` and one
 
 **Who** says which link a route takes: `watch` takes both, `command` only the one that commands. A route that only
 computes changes nothing, so `watch` may call it; and who watches may stop the motors. A request has
-{MOST_BODY >> 20} MiB at most, unless its route says otherwise. `{{{{number}}}}` in a path is the MAVLink system of a
+{MOST_BODY >> 10} KiB at most, unless its route says otherwise. `{{{{number}}}}` in a path is the MAVLink system of a
 drone: 1 for the first virtual one.
 """
 

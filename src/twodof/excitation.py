@@ -9,7 +9,7 @@ Domain Approach", ch. 5.
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from math import inf, isfinite, log, pi, radians, sqrt
@@ -391,7 +391,7 @@ class Multisine(Excitation):
         phases = -2.0 * pi * np.concatenate(([0.0], np.cumsum(np.cumsum(share))[:-1]))
         amplitudes = np.sqrt(2.0 * share)
         # At peak 1 in "-" whatever the unit, only to learn the pattern's own peak.
-        crest = float(np.max(np.abs(_sum_of_cosines(lines, amplitudes, phases, _fine_phase(lines)))))
+        crest = _peak(lines, amplitudes.tolist(), phases.tolist())
         scaled = tuple(float(a) * peak / crest for a in amplitudes)
         return cls(period, lines, scaled, tuple(float(phi) for phi in np.mod(phases, 2.0 * pi)), **options)
 
@@ -425,8 +425,7 @@ class Multisine(Excitation):
     @property
     def peak(self) -> float:
         """Largest absolute value on a grid with 64 points per shortest wave; too low by at most 0.13 %."""
-        values = _sum_of_cosines(self.harmonics, self.amplitudes, self.phases, _fine_phase(self.harmonics))
-        return float(np.max(np.abs(values)))
+        return _peak(self.harmonics, self.amplitudes, self.phases)
 
     @property
     def crest_factor(self) -> float:
@@ -492,9 +491,20 @@ def _us(seconds: float) -> int:
     return round(seconds * 1e6)
 
 
-def _fine_phase(harmonics: Iterable[int]) -> NDArray[np.float64]:
+_FEW = 1_000_000
+"""Most values that are added one by one; more would take seconds, and are found by a Fourier transform."""
+
+
+def _peak(harmonics: Sequence[int], amplitudes: Sequence[float], phases: Sequence[float]) -> float:
+    """Largest absolute value on a grid with 64 points per shortest wave."""
     points = 64 * int(max(harmonics))
-    return np.arange(points) / points
+    if points * len(harmonics) <= _FEW:
+        values = _sum_of_cosines(harmonics, amplitudes, phases, np.arange(points) / points)
+    else:
+        spectrum = np.zeros(points // 2 + 1, dtype=np.complex128)
+        spectrum[list(harmonics)] = 0.5 * points * np.asarray(amplitudes) * np.exp(1j * np.asarray(phases))
+        values = np.fft.irfft(spectrum, points)
+    return float(np.max(np.abs(values)))
 
 
 def _sum_of_cosines(

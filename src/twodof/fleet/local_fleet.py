@@ -8,7 +8,7 @@ import socket
 import sys
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
-from contextlib import asynccontextmanager, closing
+from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -109,7 +109,8 @@ class ChildProcess:
             await asyncio.wait_for(process.wait(), END_S)
         except TimeoutError:
             process.kill()
-            await process.wait()
+            with suppress(TimeoutError):  # a process of its own may hold its output
+                await asyncio.wait_for(process.wait(), END_S)
 
 
 class LocalFleet:

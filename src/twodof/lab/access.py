@@ -12,12 +12,15 @@ from __future__ import annotations
 import asyncio
 import hmac
 import ipaddress
+import os
 import socket
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
@@ -26,16 +29,24 @@ from fastapi import APIRouter, Depends
 from fastapi.requests import HTTPConnection, Request
 from fastapi.responses import Response
 from fastapi.routing import APIRoute
+from pydantic_core import from_json
 from starlette.datastructures import MutableHeaders
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from twodof.errors import RecordingError
 from twodof.lab.answers import FiniteJSON, Refused
 from twodof.lab.settings import LabSettings
+from twodof.lab.turns import Pace
 
 API = "/api/"
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
-MOST_BODY = 1 << 20
+MOST_BODY = 256 << 10
 """Default of the largest body of a request [byte]."""
+MOST_KEYS = 256
+"""Most members of an object in a request's JSON: each unknown one takes .1 ms."""
+STOP = "/kill"
+"""End of the path of the request that stops motors, which waits for no turn."""
 MOST_DISCARDED, DISCARD_S = 64 << 20, 5.0
 """Bytes of a refused request that are read before it is answered, and the longest time [s]."""
 _BEARER = "bearer "
@@ -77,11 +88,13 @@ class LabClient(NamedTuple):
         return f"{who} at {self.address}"
 
 
-def current_client(request: Request) -> LabClient:
-    """Return the client that sends a request."""
-    role = request.state.role
-    assert isinstance(role, Role)
-    return LabClient(role, "an unknown place" if request.client is None else request.client.host)
+CLIENT: ContextVar[LabClient] = ContextVar("client", default=LabClient(Role.COMMAND, "this program"))  # noqa: B039
+"""Client whose request is served."""
+
+
+async def current_client() -> LabClient:
+    """Return the client whose request is served."""
+    return CLIENT.get()
 
 
 CurrentClient = Annotated[LabClient, Depends(current_client)]
@@ -107,6 +120,21 @@ def takes(most: int) -> Any:
     return Depends(_Mark(most=most))
 
 
+class _BoundedRequest(Request):
+    async def json(self) -> Any:
+        """Return the body's JSON. Raises Refused for an object with too many members, ValueError."""
+        found = from_json(await self.body())
+        waiting = [found]
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, dict) and len(one) > MOST_KEYS:
+                raise Refused(413, f"an object has more than {MOST_KEYS} members", "send fewer")
+            if isinstance(one, dict | list):
+                inner = one.values() if isinstance(one, dict) else one
+                waiting += [each for each in inner if isinstance(each, dict | list)]
+        return found
+
+
 class LabRoute(APIRoute):
     """Route that checks the client's role and the size of the request before its body is read."""
 
@@ -130,16 +158,27 @@ class LabRoute(APIRoute):
 
         async def checked(request: Request) -> Response:
             try:
-                if current_client(request).role is Role.WATCH and not self.for_watchers:
+                if CLIENT.get().role is Role.WATCH and not self.for_watchers:
                     raise Refused(403, "this link is for watching only", "ask for the link that commands")
                 if int(request.headers.get("content-length", "0")) > self.most_body:
                     raise _too_large(self.most_body)
             except Refused:
                 await _discard(request.receive)
                 raise
-            return await handle(Request(request.scope, _bounded(request.receive, self.most_body)))
+            return await handle(_BoundedRequest(request.scope, _bounded(request.receive, self.most_body)))
 
         return checked
+
+
+async def receive_file(request: Request, path: Path) -> None:
+    """Write the request's body, whose length the route bounds, into a new file. Raises RecordingError."""
+    try:
+        with path.open("xb") as stream:
+            async for piece in request.stream():
+                stream.write(piece)
+    except OSError as refusal:
+        what = f"cannot be kept: {os.strerror(refusal.errno or 0)}"
+        raise RecordingError(what, "logs", "make room on the server's disk") from refusal
 
 
 def lab_router(prefix: str, tag: str) -> APIRouter:
@@ -153,10 +192,14 @@ def lab_routes(routers: Sequence[APIRouter]) -> list[LabRoute]:
 
 
 class Gate:
-    """Middleware that checks host, origin and token of every request and web socket, in this order."""
+    """Middleware that checks host, origin and token of every request and web socket, in this order.
+
+    Requests of clients that may not command begin in turns, but for the one that stops motors.
+    """
 
     def __init__(self, app: ASGIApp, settings: LabSettings) -> None:
         self._app, self._settings = app, settings
+        self._paces = {None: Pace(), Role.WATCH: Pace()}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, web socket or the server's life span."""
@@ -164,16 +207,27 @@ class Gate:
             await self._app(scope, receive, send)
             return
         refusal = self._refusal(HTTPConnection(scope))
-        if scope["type"] == "http":
-            send = _with_headers(send, scope["path"])
-        if refusal is None:
-            await self._app(scope, receive, send)
-        elif scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008, "reason": refusal.what})
-        else:
-            await _discard(receive)
-            said = {"what": refusal.what, "where": scope["path"][:200], "remedy": refusal.remedy}
-            await FiniteJSON(said, refusal.status_code, headers=refusal.headers)(scope, receive, send)
+        state, address = scope["state"], scope["client"][0] if scope.get("client") else "an unknown place"
+        role = state.get("role")
+        state["pace"] = pace = self._paces.get(role)
+        if role is not None:
+            CLIENT.set(LabClient(role, address))
+            state["connection"].prove(role)
+        with suppress(ClientDisconnect):
+            if refusal is not None and scope["type"] == "http":
+                await _discard(receive)
+            if pace is not None and (refusal is not None or not scope["path"].endswith(STOP)):
+                await pace.turn(address)
+                receive = _paced(receive, pace, address)
+            if scope["type"] == "http":
+                send = _with_headers(send, scope["path"])
+            if refusal is None:
+                await self._app(scope, receive, send)
+            elif scope["type"] == "websocket":
+                await send({"type": "websocket.close", "code": 1008, "reason": refusal.what})
+            else:
+                said = {"what": refusal.what, "where": scope["path"][:200], "remedy": refusal.remedy}
+                await FiniteJSON(said, refusal.status_code, headers=refusal.headers)(scope, receive, send)
 
     def _refusal(self, connection: HTTPConnection) -> Refused | None:
         scope = connection.scope
@@ -189,7 +243,7 @@ class Gate:
         if role is None:
             what = "the token is missing or is not one of this server's"
             return Refused(401, what, "open the link that the server printed", {"www-authenticate": "Bearer"})
-        scope.setdefault("state", {})["role"] = role
+        scope["state"]["role"] = role
         return None
 
 
@@ -282,6 +336,21 @@ def _bounded(receive: Receive, most: int) -> Receive:
         return message
 
     return bounded
+
+
+def _paced(receive: Receive, pace: Pace, person: str) -> Receive:
+    """Return a `receive` that waits for another turn, by its size, once it has a whole body."""
+    size = 0
+
+    async def paced() -> Message:
+        nonlocal size
+        message = await receive()
+        size += len(message.get("body", b""))
+        if size and message["type"] == "http.request" and not message.get("more_body", False):
+            await pace.turn(person, size)
+        return message
+
+    return paced
 
 
 def _with_headers(send: Send, path: str) -> Send:

@@ -35,8 +35,8 @@ from twodof.identify.experiments import KINDS as IDENTIFIED
 from twodof.identify.identified_flight import identify_flight
 from twodof.identify.ready_made import FLOWN_AS
 from twodof.lab.answers import RequestBody
+from twodof.lab.excitation_work import excitation_of
 from twodof.lab.log_work import named_log
-from twodof.lab.routes.commands import excitation_of
 from twodof.rig.parameters import NAMES
 
 Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
@@ -62,6 +62,11 @@ class AskedExperiment(RequestBody):
         if self.excitation is not None:
             given["excitation"] = excitation_of(self.excitation)
         return replace(made, **given) if given else made
+
+
+def check(asked: AskedExperiment) -> None:
+    """Raise ExperimentError for an unknown name or a value out of bounds."""
+    asked.experiment()
 
 
 def offered() -> dict[str, Any]:
@@ -146,7 +151,7 @@ def fly_experiment(
 
 def plan(
     progress: Callable[[float, str], None],
-    asked: Experiment,
+    wanted: AskedExperiment,
     rig: str,
     values: Mapping[str, float],
     rehearse: bool,
@@ -155,6 +160,7 @@ def plan(
 
     With `rehearse` the experiment is also flown there with noise and gusts, and identified.
     """
+    asked = wanted.experiment()
     name = rig if rig in NAMES else "lab"
     progress(0.05, "flying it without noise")
     told = expected_accuracy(asked, Laboratory(name, noise=0.0), values).to_json()

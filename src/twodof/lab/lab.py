@@ -16,12 +16,14 @@ from twodof.errors import LogError, Rejected, TwodofError
 from twodof.excitation import Doublet
 from twodof.experiment.prediction import predicted
 from twodof.flight.gains import DEFAULT
+from twodof.lab.access import Role
 from twodof.lab.drones.lab_drone import LabDrones
 from twodof.lab.folders import LogShelf, NamedFiles
 from twodof.lab.models import ModelFolder, TuningGuard
-from twodof.lab.processes import Jobs, Workbench
+from twodof.lab.processes import MOST_WAITING, Jobs, Workbench
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience
+from twodof.lab.turns import Turns
 from twodof.signals import HOVER
 
 WARM_UP_S = 600.0
@@ -50,6 +52,7 @@ class Lab:
         self.logs = LogShelf(settings.folder, settings.logs)
         self.summaries: dict[tuple[str, int, int], dict[str, Any]] = {}
         self.log_bench = Workbench("log", LogError)
+        self.exports = {role: Turns(2, MOST_WAITING, "export") for role in Role}
         self.rehearsed: dict[str, str] = {}
         self._warming: asyncio.Task[None] | None = None
 
@@ -86,7 +89,7 @@ class Lab:
         await self.drones.close()
 
 
-def current_lab(connection: HTTPConnection) -> Lab:
+async def current_lab(connection: HTTPConnection) -> Lab:
     """Return the laboratory of the server that serves this request."""
     lab = connection.app.state.lab
     assert isinstance(lab, Lab)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections import OrderedDict
 from contextlib import suppress
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +17,8 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError
 from twodof.errors import LogError
 from twodof.flightlog.contents import excitations
 from twodof.flightlog.files import read_log, write_log
-from twodof.flightlog.log import FlightLog, decimate
+from twodof.flightlog.log import FlightLog, decimate, log_of_rows
+from twodof.flightlog.provenance import versions
 from twodof.flightlog.ulog_file import write_ulg
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view
@@ -55,6 +57,13 @@ def kept_log(path: str) -> FlightLog:
     if found.st_size <= MOST_BYTES:
         _KEPT[key] = log
     return log
+
+
+def mat_of_rows(path: str, columns: list[str], target: str) -> None:
+    """Write the rows in a file, as `log_of_rows` reads them, to a .mat file. Raises LogError."""
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    log = log_of_rows(Path(path).read_bytes(), columns, {"seen": {"saved": now}, "versions": versions()})
+    write_log(log, target)
 
 
 COLUMNS = 96

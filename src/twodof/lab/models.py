@@ -100,6 +100,10 @@ class ModelFolder(NamedFiles):
         values = {**{key: row.value for key, row in found.estimates.items()}, **found.fixed}
         return {key: value for key, value in values.items() if value is not None}
 
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows of all models, by name."""
+        return sorted((self.row(one["name"]) for one in self.listed()), key=lambda row: str(row["name"]))
+
     def row(self, name: str) -> dict[str, Any]:
         """Return a model's row of the list: `pitch` is True for tuning and design, else `why` has the reason."""
         told: dict[str, Any] = {"name": name, "kept": self.there(name).stat().st_mtime, "values": [], "pitch": False}

@@ -1,4 +1,4 @@
-"""Processes beside the server's: a warm one for quick questions, and one for each job, which takes longer.
+"""Processes beside the server's: warm ones for quick questions, and one for each job, which takes longer.
 
 All of them run `_serve`, started by one fork server that has imported the laboratory. Work is a function of a module;
 it returns plain data for JSON. The work of a job gets a function first by which it reports its progress.
@@ -20,24 +20,27 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from twodof.errors import DiagramError, Rejected, Timeout, TwodofError
-from twodof.lab.access import LabClient, Role
+from twodof.lab.access import CLIENT, LabClient, Role
 from twodof.lab.answers import NotThere, dumps
+from twodof.lab.turns import Turns
 
 WARM = ("twodof.lab.diagram_work", "twodof.lab.flights", "twodof.lab.log_work", "scipy.linalg", "scipy.optimize")
 """Modules that the fork server imports before the first process begins: it then starts in milliseconds."""
 MEMORY = 8 << 30
 """Address space of a workbench's process [byte]: enough for the largest diagram and the imported modules."""
 NICENESS = 10
-AT_ONCE = 2
+AT_ONCE = MappingProxyType({Role.COMMAND: 2, Role.WATCH: 1})
+"""Jobs of a role that run at the same time."""
 MOST_WAITING = 16
-"""Most requests to a workbench, and most jobs, that wait for their turn."""
+"""Most requests of a role to a workbench, and most jobs of commanding clients, that wait for their turn."""
 MOST_OF_ONE, MOST_OF_WATCHERS = 6, 12
-"""Most jobs of one client that only watches, and of all such clients, so that commanding clients find a place."""
+"""Most jobs of one client that only watches, and of all such clients."""
 MOST_KEPT = 50
+"""Jobs of a role that are remembered."""
 LONGEST_S = 1800.0
 LOOK_S = 0.05
 END_S = 1.0
@@ -65,6 +68,9 @@ def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> N
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     if nice:
         os.nice(NICENESS)
+    with open(os.devnull, "w") as nothing:  # noqa: PTH123  the server's parent waits for the end of its output
+        os.dup2(nothing.fileno(), 1)
+        os.dup2(nothing.fileno(), 2)
     last = 0.0
 
     def progress(fraction: float, text: str = "") -> None:
@@ -127,10 +133,10 @@ class _WorkProcess:
             async with asyncio.timeout(seconds):
                 talk = await self._ask((work, arguments, progress is not None))
                 while True:
-                    while not await asyncio.to_thread(talk.poll, LOOK_S):
+                    while not await _readable(talk):
                         if gone is not None and await gone():
                             raise Rejected("the client has left", "", "send the request again")
-                    kind, *rest = talk.recv()
+                    kind, *rest = await asyncio.to_thread(talk.recv)
                     if kind != "progress":
                         break
                     if progress is not None:
@@ -177,18 +183,31 @@ class _WorkProcess:
         return here
 
 
+async def _readable(talk: Connection) -> bool:
+    """Wait until there is something to read, or for LOOK_S; return True if there is."""
+    loop, ready = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(talk.fileno(), ready.set)
+    try:
+        async with asyncio.timeout(LOOK_S):
+            return await ready.wait()
+    except TimeoutError:
+        return talk.poll()
+    finally:
+        loop.remove_reader(talk.fileno())
+
+
 class Workbench:
-    """Warm process that carries out requests about diagrams or logs one at a time, each within its time.
+    """Warm processes, one for each role, that carry out requests about diagrams or logs one at a time.
 
     `subject` names their subject in errors, `failure` is the class of the errors. A request that takes too long, or
-    whose client has left, ends the process; the next request starts a new one.
+    whose client has left, ends its process; the next request starts a new one.
     """
 
     def __init__(self, subject: str = "diagram", failure: type[TwodofError] = DiagramError) -> None:
-        self._subject = subject
-        self._process = _WorkProcess(subject, failure, background=False)
-        self._turn = asyncio.Lock()
-        self._waiting = 0
+        self._processes = {
+            role: _WorkProcess(subject, failure, background=False, nice=role is Role.WATCH) for role in Role
+        }
+        self._turns = {role: Turns(1, MOST_WAITING - 1, subject) for role in Role}
 
     async def do(
         self,
@@ -202,19 +221,15 @@ class Workbench:
         The work is cancelled once `gone` returns True because the client has left. Raises the errors of `work` as
         `failure`, Timeout after `seconds`, Rejected if too many requests wait or the client has left.
         """
-        if self._waiting >= MOST_WAITING:
-            raise Rejected("too many requests wait", self._subject, "try again in a moment")
-        self._waiting += 1
-        try:
-            async with self._turn:
-                answer: Answer = await self._process.run(work, arguments, seconds, gone=gone)
-                return answer
-        finally:
-            self._waiting -= 1
+        role, person = CLIENT.get()
+        async with self._turns[role].turn(person):
+            answer: Answer = await self._processes[role].run(work, arguments, seconds, gone=gone)
+            return answer
 
     async def close(self) -> None:
-        """End the process."""
-        await self._process.close()
+        """End the processes."""
+        for process in self._processes.values():
+            await process.close()
 
 
 @dataclass
@@ -247,7 +262,7 @@ class Job:
 
 
 class Jobs:
-    """Jobs of one server: `AT_ONCE` run, the others wait for their turn, the last `MOST_KEPT` are remembered.
+    """Jobs of one server: each role has its turns, in which people take turns, and its last `MOST_KEPT` jobs.
 
     `tell` is called with the event `job` at every change.
     """
@@ -255,7 +270,7 @@ class Jobs:
     def __init__(self, tell: Callable[[Mapping[str, Any]], None]) -> None:
         self._tell_all = tell
         self._jobs: dict[str, Job] = {}
-        self._turns = asyncio.Semaphore(AT_ONCE)
+        self._turns = {role: Turns(AT_ONCE[role], AT_ONCE[role] + MOST_WAITING, "jobs") for role in Role}
 
     @property
     def all(self) -> list[Job]:
@@ -289,7 +304,8 @@ class Jobs:
 
         async def run(job: Job) -> None:
             # What flies does not wait for what computes, for a viewer perhaps.
-            async with nullcontext() if in_real_time else self._turns:
+            role, person = (Role.COMMAND, "") if watcher is None else watcher
+            async with nullcontext() if in_real_time else self._turns[role].turn(person):
                 job.text = ""
                 process = _WorkProcess(f"job {kind}", TwodofError, background=True, nice=not in_real_time)
                 try:
@@ -315,8 +331,9 @@ class Jobs:
 
     def _begin(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> Job:
         self._jobs[job.id] = job
-        for old in [one.id for one in self.all if one.over][: max(0, len(self._jobs) - MOST_KEPT)]:
-            del self._jobs[old]
+        kept = [one for one in self.all if (one.client is None) == (job.client is None)]
+        for old in [one for one in kept if one.over][: max(0, len(kept) - MOST_KEPT)]:
+            del self._jobs[old.id]
         job.task = asyncio.create_task(self._run(job, run))
         return job
 
@@ -347,15 +364,12 @@ class Jobs:
                 job.state, job.text = "cancelled", ""
 
     def _check_share(self, watcher: LabClient | None) -> None:
-        running = [job.client for job in self.all if not job.over]
-        if len(running) >= AT_ONCE + MOST_WAITING:
-            raise Rejected("too many jobs wait already", "jobs", "wait for one, or cancel one")
-        if watcher is None:
-            return
-        if running.count(watcher) >= MOST_OF_ONE:
+        running = [job.client for job in self.all if not job.over and (job.client is None) == (watcher is None)]
+        if len(running) >= (AT_ONCE[Role.COMMAND] + MOST_WAITING if watcher is None else MOST_OF_WATCHERS):
+            people = "" if watcher is None else " of watching clients"
+            raise Rejected(f"too many jobs{people} run or wait already", "jobs", "wait for one, or cancel one")
+        if watcher is not None and running.count(watcher) >= MOST_OF_ONE:
             raise Rejected(f"{MOST_OF_ONE} jobs of yours run or wait already", "jobs", "wait for one")
-        if len(running) - running.count(None) >= MOST_OF_WATCHERS:
-            raise Rejected("too many jobs of watching clients run or wait already", "jobs", "wait for one")
 
     async def _run(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> None:
         try:

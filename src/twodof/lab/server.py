@@ -22,6 +22,7 @@ from twodof import __version__
 from twodof.errors import LinkError
 from twodof.lab import answers
 from twodof.lab.access import API, Gate, lab_routes
+from twodof.lab.connections import HEAD_S, LabConfig, Places, raise_file_limit
 from twodof.lab.lab import Lab
 from twodof.lab.routes import commands, diagrams, identification, logs, parameters, session
 from twodof.lab.settings import LabSettings
@@ -124,7 +125,7 @@ def create_app(settings: LabSettings) -> FastAPI:
     return app
 
 
-BACKLOG = 128
+BACKLOG = 1024
 SEND_BUFFER = 128 * 1024
 """Bytes that the kernel keeps for one client."""
 END_S = 5
@@ -133,25 +134,27 @@ END_S = 5
 
 async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
     """Serve until cancelled; call `ready` with the port once the server listens. Raises LinkError if it cannot."""
+    places = Places(raise_file_limit())
     # For the processes of jobs: matrices are small, and two fits at once would have four threads wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with closing(_listening(settings)) as listening:
         port = int(listening.getsockname()[1])
-        config = uvicorn.Config(
+        config = LabConfig(
             create_app(settings),
+            places,
             log_config=None,
+            log_level="error",  # anybody can send what is not HTTP
+            proxy_headers=False,  # anybody can claim to be another one
             access_log=False,  # the link holds a token
             server_header=False,
             lifespan="on",
-            ws="websockets-sansio",
             ws_max_size=4 * LONGEST,
             ws_per_message_deflate=False,  # rows hardly shrink, and it would cost more than all else
             ws_ping_interval=10.0,
             ws_ping_timeout=20.0,
             timeout_graceful_shutdown=END_S,
-            timeout_keep_alive=30,
+            timeout_keep_alive=300,  # as browsers; an idle connection ends where another one needs its place
             h11_max_incomplete_event_size=16 * 1024,
-            limit_concurrency=400,
         )
         server = _Server(config)
         serving = asyncio.create_task(server.serve(sockets=[listening]))
@@ -159,6 +162,7 @@ async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
             while not server.started and not serving.done():
                 await asyncio.sleep(0.01)
             if server.started:
+                listening.listen(BACKLOG)  # the configuration's is the number that is accepted at once
                 ready(port)
             await asyncio.shield(serving)
         finally:
@@ -167,7 +171,14 @@ async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Uvicorn's server that leaves signals to its caller."""
+    """Uvicorn's server that leaves signals to its caller, and closes connections whose time is over."""
+
+    config: LabConfig
+
+    async def on_tick(self, counter: int) -> bool:
+        """Close late connections ten times a second; return True at the server's end."""
+        self.config.places.end_late()
+        return await super().on_tick(counter)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -185,6 +196,8 @@ def _listening(settings: LabSettings) -> socket.socket:
         # Rows in the kernel's buffer for a slow client are stale: a small buffer is enough.
         made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         made.bind((settings.host, settings.port))
+        if hasattr(socket, "TCP_DEFER_ACCEPT"):  # who sends nothing costs nothing
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, round(HEAD_S))
         made.listen(BACKLOG)
         os.set_inheritable(made.fileno(), False)
     except OSError as error:

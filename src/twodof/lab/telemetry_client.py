@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Annotated, Literal, Self
 
 from fastapi import WebSocket
@@ -10,11 +11,12 @@ from pydantic import Field, TypeAdapter, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from twodof.errors import LogError, TwodofError, listed, nearest
-from twodof.lab.access import Role
+from twodof.lab.access import LabClient
 from twodof.lab.answers import RequestBody, dumps
 from twodof.lab.drones.telemetry_source import until_one_ends
 from twodof.lab.lab import Lab
 from twodof.lab.telemetry_rows import COLUMNS, FeedKey, Outbox, StreamState, header
+from twodof.lab.turns import Pace, greediest
 
 LONGEST = 8192
 """Most characters of a client's message."""
@@ -80,27 +82,40 @@ def read_request(text: str) -> Asked:
 
 
 MOST_CLIENTS = 100
+"""Most clients of one role."""
 MOST_STREAMS = 32
+FREE_S = 0.5
+"""A watching client's messages wait for turns, but for one in this time [s]."""
 ALIVE_S = 2.0
 SEND_S = 30.0
 """Longest time to send one message [s]; after that the client is disconnected."""
 
 
 class TelemetryClient:
-    """Connected client; `async with` joins the audience, and ends the subscriptions afterwards."""
+    """Connected client; `async with` joins the audience, and ends the subscriptions afterwards.
 
-    def __init__(self, websocket: WebSocket, role: Role, lab: Lab) -> None:
-        self._websocket, self._lab = websocket, lab
-        self._outbox = Outbox(role)
+    Each role has its places. When they are full, the person with the most of them loses one.
+    """
+
+    def __init__(self, websocket: WebSocket, client: LabClient, lab: Lab) -> None:
+        self._websocket, self._lab, self._person = websocket, lab, client.address
+        self._outbox = Outbox(client.role, client.address)
         self._streams: dict[int, tuple[StreamState, int]] = {}
 
     async def __aenter__(self) -> Self:
-        if len(self._lab.audience) >= MOST_CLIENTS:
-            raise SocketRefused(f"{MOST_CLIENTS} clients are connected already")
+        connection = self._websocket.state.connection
+        same = [one for one in self._lab.audience if one.role is self._outbox.role]
+        if len(same) >= min(MOST_CLIENTS, connection.places.most):
+            person = greediest([*(one.person for one in same), self._person])
+            if person == self._person:
+                raise SocketRefused(f"{len(same)} clients are connected already")
+            next(one for one in same if one.person == person).end()
         self._lab.audience.add(self._outbox)
+        connection.keep()
         return self
 
     async def __aexit__(self, *_: object) -> None:
+        self._websocket.state.connection.leave()
         self._lab.audience.discard(self._outbox)
         for number in [*self._streams]:
             self._end(number)
@@ -131,6 +146,8 @@ class TelemetryClient:
     async def _send(self) -> None:
         while True:
             what = await self._outbox.next()
+            if what is None:
+                raise SocketRefused("another person needs the place")
             async with asyncio.timeout(SEND_S):
                 if isinstance(what, str):
                     await self._websocket.send_text(what)
@@ -139,10 +156,15 @@ class TelemetryClient:
                     await self._websocket.send_bytes(head + what.body)
 
     async def _receive(self) -> None:
+        pace: Pace | None = self._websocket.state.pace
+        free = 0.0
         while True:
             message = await self._websocket.receive()
             if message["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect(message.get("code") or 1000)
+            if pace is not None and time.monotonic() < free:
+                await pace.turn(self._person)
+            free = time.monotonic() + FREE_S
             text = message.get("text")
             if text is None:
                 raise MalformedRequest("is binary; send JSON text")
@@ -162,7 +184,7 @@ class TelemetryClient:
             return
         if len(self._streams) >= MOST_STREAMS:
             raise TwodofError(f"there are {MOST_STREAMS} subscriptions already", "telemetry", "end one first")
-        key = FeedKey(asked.known_columns(), asked.rate)
+        key = FeedKey(asked.known_columns(), asked.rate, self._outbox.role)
         feeds = self._lab.drones[asked.drone].feeds
         stream = StreamState(asked.id)
         feeds.add(key, stream, self._outbox)

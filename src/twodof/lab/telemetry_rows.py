@@ -165,14 +165,16 @@ MOST_UNANSWERED = 2
 
 @dataclass(eq=False)
 class Outbox:
-    """Bounded queue of rows and events for one client; the oldest ones are dropped.
+    """Bounded queue of rows and events for one client, that of `person`; the oldest ones are dropped.
 
     `answers` is True if the client ever answered an `alive`, `unanswered` counts its missing answers since.
     """
 
     role: Role = Role.WATCH
+    person: str = ""
     answers: bool = False
     unanswered: int = 0
+    _ended: bool = False
     _rows: deque[Rows] = field(default_factory=deque)
     _bytes: int = 0
     _events: deque[str] = field(default_factory=deque)
@@ -205,9 +207,16 @@ class Outbox:
         self._events.append(text)
         self._filled.set()
 
-    async def next(self) -> str | Rows:
-        """Wait for the next message, and return events before rows."""
+    def end(self) -> None:
+        """Send nothing more."""
+        self._ended = True
+        self._filled.set()
+
+    async def next(self) -> str | Rows | None:
+        """Wait for the next message, and return events before rows; None after `end`."""
         while True:
+            if self._ended:
+                return None
             if self._events:
                 return self._events.popleft()
             if self._rows:
@@ -220,11 +229,31 @@ class Outbox:
             await self._filled.wait()
 
 
+class Allowance:
+    """Messages to watching clients, for all drones together: `WATCHERS_MESSAGES` a second, so that others are heard."""
+
+    def __init__(self) -> None:
+        self._left, self._at = 0.0, time.monotonic()
+
+    @property
+    def left(self) -> bool:
+        """True if a message may be sent now."""
+        now = time.monotonic()
+        self._left = min(MOST_AT_ONCE, self._left + WATCHERS_MESSAGES * (now - self._at))
+        self._at = now
+        return self._left > 0.0
+
+    def spend(self, messages: int, size: int) -> None:
+        """Count messages of `size` bytes each."""
+        self._left -= messages * (1.0 + size / MESSAGE_BYTES)
+
+
 class FeedKey(NamedTuple):
-    """Key of a feed: its columns and its rate [rows/s]."""
+    """Key of a feed: its columns, its rate [rows/s], and the role of its clients."""
 
     columns: tuple[str, ...]
     rate: float
+    role: Role = Role.COMMAND
 
     @property
     def truth(self) -> bool:
@@ -233,17 +262,47 @@ class FeedKey(NamedTuple):
 
 
 class _Feed:
+    """Rows of one key for the subscriptions `to`. `waiting` are those of the last times, at most `MOST_TIMES`."""
+
     def __init__(self, key: FeedKey) -> None:
-        self.places = np.array([PLACES[column] for column in key.columns], dtype=np.intp)
-        self.decimation = Decimation(key.rate)
+        self._places = np.array([PLACES[column] for column in key.columns], dtype=np.intp)
+        self._decimation = Decimation(key.rate)
         self.to: dict[StreamState, Outbox] = {}
+        self.waiting: deque[tuple[NDArray[np.int64], NDArray[np.float32]]] = deque()
+
+    def add(self, ticks: NDArray[np.int64], values: NDArray[np.float32]) -> None:
+        """Add rows; the oldest ones are dropped if too many wait."""
+        self.waiting.append((ticks, values))
+        if len(self.waiting) > MOST_TIMES:
+            lost, _ = self.waiting.popleft()
+            for stream in self.to:
+                stream.dropped += len(lost)
+
+    def send(self) -> int:
+        """Send the waiting rows to all subscriptions; return the number of bytes of one message."""
+        ticks = np.concatenate([one for one, _ in self.waiting])
+        values = np.concatenate([one[:, self._places] for _, one in self.waiting])
+        self.waiting.clear()
+        times, rows = self._decimation.take(ticks, values)
+        if not len(times):
+            return 0
+        packed = body(times, rows)
+        for stream, outbox in self.to.items():
+            outbox.put(Rows(stream, packed, len(times)))
+        return len(packed)
+
+
+WATCHERS_MESSAGES, MOST_AT_ONCE, MESSAGE_BYTES = 1500.0, 32.0, 16 * 1024
+"""Messages a second, those that may be sent at once, and the bytes that cost as much as a message."""
+MOST_TIMES = 128
 
 
 class Feeds:
-    """Feeds of one drone, by columns and rate."""
+    """Feeds of one drone, by columns, rate and role; those of watching clients share an allowance, in turns."""
 
-    def __init__(self) -> None:
+    def __init__(self, allowance: Allowance) -> None:
         self._feeds: dict[FeedKey, _Feed] = {}
+        self._allowance = allowance
 
     @property
     def wanted(self) -> bool:
@@ -269,17 +328,24 @@ class Feeds:
                 del self._feeds[key]
 
     def give(self, ticks: NDArray[np.int64], values: NDArray[np.float32]) -> None:
-        """Send rows to all subscriptions: ticks (n,) and values (n, COLUMNS)."""
-        for feed in self._feeds.values():
-            times, rows = feed.decimation.take(ticks, values[:, feed.places])
-            if len(times):
-                packed = body(times, rows)
-                for stream, outbox in feed.to.items():
-                    outbox.put(Rows(stream, packed, len(times)))
+        """Send rows to subscriptions: ticks (n,) and values (n, COLUMNS). Watching clients may get them later."""
+        for key, feed in self._feeds.items():
+            feed.add(ticks, values)
+            if key.role is Role.COMMAND:
+                feed.send()
+        for key in [key for key in self._feeds if key.role is Role.WATCH]:
+            if not self._allowance.left:
+                return
+            feed = self._feeds.pop(key)
+            self._feeds[key] = feed  # after all others
+            self._allowance.spend(len(feed.to), feed.send())
 
 
 class Audience(set[Outbox]):
-    """Outboxes of all clients."""
+    """Outboxes of all clients; `allowance` is that of watching ones."""
+
+    def __init__(self) -> None:
+        self.allowance = Allowance()
 
     @property
     def commanding(self) -> int:

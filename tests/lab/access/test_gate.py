@@ -160,7 +160,7 @@ def test_a_request_that_is_too_large_is_refused_in_words(server: Served) -> None
         sent = b"100001\r\n" + body + b"\r\n0\r\n\r\n" if headers else body
         answer = server.ask("PUT", "/api/drones/77/setpoint", sent, headers, token=COMMAND)
         assert answer.status == 413, answer.content[:200]
-        assert "larger than 1048576 bytes" in answer.json["what"]
+        assert "larger than 262144 bytes" in answer.json["what"]
     assert server.ask("PUT", "/api/drones/77/setpoint", b"{}", {"Content-Length": "x"}, token=COMMAND).status == 400
 
 

@@ -15,7 +15,7 @@ from tests.processes import alive
 from twodof.errors import IdentificationError, Rejected
 from twodof.lab.access import LabClient, Role
 from twodof.lab.answers import NotThere
-from twodof.lab.processes import AT_ONCE, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Job, Jobs, Progress
+from twodof.lab.processes import AT_ONCE, MOST_KEPT, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Job, Jobs, Progress
 
 
 def counts(progress: Progress, number: int) -> dict[str, object]:
@@ -127,6 +127,22 @@ def test_watchers_have_a_share_of_the_jobs() -> None:
     with_jobs(work)
 
 
+def test_watchers_jobs_delay_and_forget_no_others() -> None:
+    async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
+        watchers = [LabClient(Role.WATCH, f"10.0.0.{k}") for k in range(2)]
+        for watcher in watchers:
+            for _ in range(MOST_OF_ONE):
+                last = jobs.start("sleep", sleeps, client=watcher)
+        ours = jobs.start("count", counts, 0)
+        await until(lambda: ours.over)
+        for _ in range(2 * MOST_KEPT):
+            await jobs.cancel(last.id)
+            last = jobs.start("sleep", sleeps, client=watchers[1])
+        assert jobs[ours.id].result["counted"] == 0
+
+    with_jobs(work)
+
+
 def test_a_job_that_is_cancelled_ends_with_its_process() -> None:
     async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
         job = jobs.start("sleep", sleeps)
@@ -143,16 +159,17 @@ def test_a_job_that_is_cancelled_ends_with_its_process() -> None:
 
 def test_jobs_wait_for_their_turn_up_to_a_bound() -> None:
     async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
-        started: list[Job] = [jobs.start("sleep", sleeps) for _ in range(AT_ONCE + MOST_WAITING)]
+        at_once = AT_ONCE[Role.COMMAND]
+        started: list[Job] = [jobs.start("sleep", sleeps) for _ in range(at_once + MOST_WAITING)]
         with pytest.raises(Rejected, match="too many jobs"):
             jobs.start("sleep", sleeps)
-        await until(lambda: all(job.text.isdigit() for job in started[:AT_ONCE]))
-        assert {job.text for job in started[AT_ONCE:]} == {"waits for its turn"}
+        await until(lambda: all(job.text.isdigit() for job in started[:at_once]))
+        assert {job.text for job in started[at_once:]} == {"waits for its turn"}
         flight = jobs.start("flight", flies, in_real_time=True)  # what flies waits for none of them
         await until(lambda: flight.over)
         assert flight.result == os.nice(0)
         assert (await jobs.cancel(started[-1].id)).state == "cancelled"  # before its turn
         await jobs.cancel(started[0].id)
-        await until(lambda: started[AT_ONCE].text.isdigit())
+        await until(lambda: started[at_once].text.isdigit())
 
     with_jobs(work)

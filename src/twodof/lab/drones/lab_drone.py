@@ -119,7 +119,7 @@ class LabDrone:
 
     def __init__(self, url: str, settings: LabSettings, audience: Audience) -> None:
         self.url, self.number = url, 0
-        self.feeds = Feeds()
+        self.feeds = Feeds(audience.allowance)
         self.texts: deque[dict[str, Any]] = deque(maxlen=MOST_TEXTS)
         self._settings, self._audience = settings, audience
         self._connection: DroneConnection | None = None

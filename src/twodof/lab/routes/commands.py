@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -9,8 +10,7 @@ from typing import Annotated, Any, Literal
 from fastapi import Body
 from pydantic import Field
 
-from twodof.errors import ExperimentError, Rejected, Timeout, TwodofError
-from twodof.excitation import Excitation, Multisine, from_dict
+from twodof.errors import Rejected, Timeout, TwodofError
 from twodof.experiment import EXPERIMENTS
 from twodof.experiment.experiments import LOOP, LOOP_MODES, UNIT
 from twodof.experiment.prediction import predicted
@@ -18,6 +18,7 @@ from twodof.flight.gains import DEFAULT, GAIN_NAMES, Gains
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router
 from twodof.lab.answers import Finite, RequestBody
+from twodof.lab.excitation_work import drawn, excitation_of
 from twodof.lab.lab import CurrentLab, Lab
 from twodof.lab.routes.session import NamedDrone
 from twodof.rig.parameters import NAMES
@@ -161,7 +162,7 @@ async def stop_setpoint(one: NamedDrone) -> dict[str, Any]:
 @router.post("/drones/{number}/excitation")
 async def excite(one: NamedDrone, asked: AskedExcitation) -> dict[str, Any]:
     """Play an excitation on board, added to the set-point of its loop. Return its first and last tick at its start."""
-    played = excitation_of(asked.excitation)
+    played = await asyncio.to_thread(excitation_of, asked.excitation)
     async with one.commanded() as drone:
         playback = await drone.excite(played, asked.loop, asked.thrust, wait=False)
     return {"start_tick": playback.start_tick, "end_tick": playback.end_tick, "duration": played.duration}
@@ -175,27 +176,9 @@ async def stop_excitation(one: NamedDrone) -> dict[str, Any]:
     return one.state
 
 
-def excitation_of(given: dict[str, Any]) -> Excitation:
-    """Return the excitation of a JSON form; a multisine with `peak` is Schroeder's. Raises ExperimentError."""
-    if len(given) > 64:
-        raise ExperimentError(f"has {len(given)} fields", "excitation", "give only the fields of its kind")
-    if given.get("kind") == Multisine.kind and "peak" in given:
-        return _multisine({name: value for name, value in given.items() if name not in ("kind", "version")})
-    return from_dict({"version": 1, **given})
-
-
-def _multisine(given: dict[str, Any]) -> Excitation:
-    try:
-        return Multisine.schroeder(**given)
-    except TypeError as reason:
-        raise ExperimentError(
-            f"a value is missing or unknown: {reason}", "multisine", "give peak, period, harmonics"
-        ) from reason
-
-
 excitations_router = lab_router("/api/excitations", "excitations")
-PREDICT_S = 30.0
-"""Longest time of a prediction [s]; the first one compiles the closed loop."""
+DRAW_S, PREDICT_S = 30.0, 30.0
+"""Longest time for an excitation's values and for a prediction [s]; the first one compiles the closed loop."""
 
 
 class AskedPreview(AskedExcitation):
@@ -230,20 +213,9 @@ async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
     model that guards its tuning, else by its virtual rig. Without a prediction it is null, and `why` has the reason.
     `again` is true if the prediction will come later: ask again.
     """
-    played = excitation_of(asked.excitation)
-    times = [played.duration * k / (asked.points - 1) for k in range(asked.points)]
-    motion, why, again = await _motion(lab, asked, played.to_dict(), played.unit)
-    return {
-        "excitation": played.to_dict(),
-        "unit": played.unit,
-        "duration": played.duration,
-        "peak": played.peak,
-        "time": times,
-        "value": played.at(times).tolist(),
-        "motion": motion,
-        "why": why,
-        "again": again,
-    }
+    shown = await lab.log_bench.do(drawn, asked.excitation, asked.points, seconds=DRAW_S)
+    motion, why, again = await _motion(lab, asked, shown["excitation"], shown["unit"])
+    return {**shown, "motion": motion, "why": why, "again": again}
 
 
 async def _motion(

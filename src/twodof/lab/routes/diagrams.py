@@ -49,7 +49,7 @@ class AskedLoop(AskedDiagram):
 class AskedBlocks(RequestBody):
     """Blocks of the library, each {"type": ..., "config": {...}}."""
 
-    blocks: list[dict[str, Any]] = Field(max_length=2000)
+    blocks: list[dict[str, Any]] = Field(max_length=2000, fail_fast=True)
 
 
 @router.get("/catalogue")
@@ -66,7 +66,7 @@ async def starter_text(name: Name) -> dict[str, str]:
     return {"text": to_json(starter(name))}
 
 
-@router.post("/shapes", dependencies=[WATCHERS_MAY])
+@router.post("/shapes", dependencies=[WATCHERS_MAY, takes(1 << 20)])
 async def shapes(lab: CurrentLab, request: Request, asked: AskedBlocks) -> list[dict[str, Any]]:
     """Return each block's ports, parameters and structure; for a wrong block what, where and remedy of the error."""
     return await _work(lab, request, diagram_work.shapes, asked.blocks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import multiprocessing
 from contextlib import ExitStack
@@ -16,7 +17,7 @@ from twodof.identify.ready_made import AUTO, STRUCTURES
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.drones.lab_drone import LabDrone
-from twodof.lab.flights import AskedExperiment, design, fly_experiment, identify, offered, plan
+from twodof.lab.flights import AskedExperiment, check, design, fly_experiment, identify, offered, plan
 from twodof.lab.folders import FileName, LogName
 from twodof.lab.lab import CurrentLab
 from twodof.lab.models import MAX_BYTES
@@ -24,6 +25,8 @@ from twodof.lab.processes import Job
 
 router = lab_router("/api/identification", "identification")
 Second = Annotated[Finite, Field(ge=0.0, le=1e6)]
+CHECK_S = 30.0
+"""Longest time for checking an experiment or listing files [s]."""
 DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
 
@@ -64,7 +67,8 @@ class AskedFit(RequestBody):
 async def choices(lab: CurrentLab) -> dict[str, Any]:
     """List the experiments, the kinds of excitation, the structures, and the readable logs, the newest first."""
     written = lab.drones.recordings
-    logs = [row["name"] for row in lab.logs.listed() if row["name"] not in written]
+    rows = await lab.log_bench.do(lab.logs.listed, seconds=CHECK_S)
+    logs = [row["name"] for row in rows if row["name"] not in written]
     return {**offered(), "structures": [AUTO, *STRUCTURES], "flights": logs}
 
 
@@ -73,7 +77,8 @@ async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> d
     """Start a job that predicts accuracy and motion of an experiment. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
     values = {} if asked.model is None else lab.models.values(asked.model)
-    given = (asked.experiment.experiment(), rig, values, asked.rehearse)
+    await lab.log_bench.do(check, asked.experiment, seconds=CHECK_S)
+    given = (asked.experiment, rig, values, asked.rehearse)
     return lab.jobs.start("plan", plan, *given, client=client).to_json()
 
 
@@ -85,7 +90,7 @@ async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
     before and after, then with its rings as they were. 409 while the drone is armed.
     """
     one = lab.drones[asked.drone]
-    made = asked.experiment.experiment()
+    made = await asyncio.to_thread(asked.experiment.experiment)
     if one.drone.state.armed:
         raise Rejected("the drone is armed", f"drone {asked.drone}", "disarm it first")
     await one.connection.pilot.give_up()
@@ -154,7 +159,7 @@ class AskedController(RequestBody):
 @models_router.get("")
 async def models(lab: CurrentLab) -> list[dict[str, Any]]:
     """List the kept models; `pitch` is True for tuning and design, else `why` has the reason."""
-    return sorted((lab.models.row(one["name"]) for one in lab.models.listed()), key=lambda row: str(row["name"]))
+    return await lab.log_bench.do(lab.models.rows, seconds=CHECK_S)
 
 
 @models_router.get("/{name}")

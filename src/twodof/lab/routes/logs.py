@@ -5,7 +5,6 @@ Logs are read in a process of their own, each request within a time limit.
 
 from __future__ import annotations
 
-import os
 import secrets
 from collections.abc import Callable
 from math import isfinite
@@ -17,10 +16,10 @@ from fastapi.responses import FileResponse, Response
 from pydantic import Field
 from starlette.background import BackgroundTask
 
-from twodof.errors import LogError, RecordingError, Rejected, TwodofError
+from twodof.errors import LogError, Rejected, TwodofError
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab import log_work
-from twodof.lab.access import lab_router, takes
+from twodof.lab.access import lab_router, receive_file, takes
 from twodof.lab.answers import RequestBody
 from twodof.lab.folders import KEPT_DAYS, MOST_NOTES, LogName
 from twodof.lab.lab import CurrentLab, Lab
@@ -50,7 +49,8 @@ class LogNotes(RequestBody):
 async def logs(lab: CurrentLab) -> dict[str, Any]:
     """List the logs, the latest first, and the deleted ones, which can be restored for `kept_days`."""
     written = lab.drones.recordings
-    rows = [row | {"recording": row["name"] in written} for row in lab.logs.listed()]
+    found = await _work(lab, lab.logs.listed)
+    rows = [row | {"recording": row["name"] in written} for row in found]
     return {"logs": rows, "trash": lab.logs.trash.listed(), "kept_days": KEPT_DAYS}
 
 
@@ -185,7 +185,7 @@ async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any
     lab.logs.check_new(name)
     path = lab.logs.scratch() / f"{secrets.token_hex(8)}{FilePath(name).suffix.lower()}"
     try:
-        await _receive(request, path)
+        await receive_file(request, path)
         found = await _work(lab, log_summary, str(path), seconds=CONVERT_S)
         return {"name": lab.logs.take_in(path, name), "summary": found}
     except LogError as refusal:
@@ -194,17 +194,6 @@ async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any
         raise LogError(what, where, refusal.remedy.replace(str(path), name)) from refusal
     finally:
         path.unlink(missing_ok=True)
-
-
-async def _receive(request: Request, path: FilePath) -> None:
-    """Write the request's body into a new file; the gate bounds its length."""
-    try:
-        with path.open("xb") as stream:
-            async for piece in request.stream():
-                stream.write(piece)
-    except OSError as refusal:
-        what = f"cannot be kept: {os.strerror(refusal.errno or 0)}"
-        raise RecordingError(what, "logs", "make room on the server's disk") from refusal
 
 
 def _in_words(reason: TwodofError) -> str:

@@ -11,11 +11,11 @@ from pydantic import Field
 
 from twodof import __version__
 from twodof.errors import DiagramError, LogError, Rejected, Timeout
-from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
 from twodof.gcs.parameters import BY_NAME, INT32, ParameterEntry, SentChange, same_as
 from twodof.lab.access import WATCHERS_MAY, lab_router, takes
 from twodof.lab.answers import Finite, NotThere, RequestBody
+from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.folders import FileName, LogName
 from twodof.lab.lab import CurrentLab
 from twodof.lab.models import measured_steps
@@ -92,7 +92,7 @@ class AskedSnapshot(RequestBody):
 @files_router.get("/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def file(one: NamedDrone) -> Response:
     """Download all parameters as a file for QGroundControl (Vehicle Configuration, Parameters, Tools)."""
-    text = (await _now(one.drone)).text()
+    text = (await _now(one)).text()
     headers = {"content-disposition": f'attachment; filename="drone-{one.number}.params"'}
     return Response(text, media_type=TEXT, headers=headers)
 
@@ -100,8 +100,7 @@ async def file(one: NamedDrone) -> Response:
 @files_router.post("/file", dependencies=[WATCHERS_MAY, takes(MAX_BYTES)])
 async def compared(one: NamedDrone, request: Request) -> dict[str, Any]:
     """Compare a file of QGroundControl, the request's body, with the drone; nothing is changed."""
-    drone = one.drone
-    return await _against(drone, ParameterFile.read(await request.body(), "the file"))
+    return await _against(one, ParameterFile.read(await request.body(), "the file"))
 
 
 @files_router.get("/snapshots")
@@ -113,7 +112,7 @@ async def snapshots(lab: CurrentLab, one: NamedDrone) -> list[dict[str, Any]]:
 @files_router.post("/snapshots", status_code=201)
 async def keep(lab: CurrentLab, one: NamedDrone, asked: AskedSnapshot) -> dict[str, Any]:
     """Keep the drone's present parameters as a snapshot."""
-    file = await _now(one.drone, asked.note)
+    file = await _now(one, asked.note)
     lab.snapshots.save(asked.name, file.text(), asked.overwrite)
     return {"name": asked.name, "kept": lab.snapshots.there(asked.name).stat().st_mtime}
 
@@ -127,7 +126,7 @@ async def snapshot(lab: CurrentLab, one: NamedDrone, name: SnapshotName, other: 
         names = sorted({*kept.values, *theirs})
         rows = [{"name": n, "before": theirs.get(n), "value": kept.values.get(n)} for n in names]
         return {"changes": [row for row in rows if row["before"] != row["value"]], "missing": [], "about": kept.about}
-    return await _against(one.drone, kept)
+    return await _against(one, kept)
 
 
 @files_router.get("/snapshots/{name}/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
@@ -148,7 +147,8 @@ def _of(lab: CurrentLab, name: str) -> ParameterFile:
     return ParameterFile.read(lab.snapshots.content(name), f"snapshot '{name}'")
 
 
-async def _now(drone: AsyncDrone, note: str = "") -> ParameterFile:
+async def _now(one: LabDrone, note: str = "") -> ParameterFile:
+    drone = one.drone
     about = {
         "Stack": "twodof" if drone.ours else drone.state.autopilot,
         "Vehicle": drone.state.rig.name or f"drone {drone.session.system}",
@@ -156,17 +156,17 @@ async def _now(drone: AsyncDrone, note: str = "") -> ParameterFile:
         "Kept": datetime.now().astimezone().isoformat(timespec="seconds"),
         **({"Note": note} if note else {}),
     }
-    return ParameterFile.of((await drone.parameters.all()).values(), drone.session.system, about=about)
+    return ParameterFile.of(await one.connection.parameters.entries(), drone.session.system, about=about)
 
 
-async def _against(drone: AsyncDrone, found: ParameterFile) -> dict[str, Any]:
-    known = await drone.parameters.all()
+async def _against(one: LabDrone, found: ParameterFile) -> dict[str, Any]:
+    known = {entry.name: entry for entry in await one.connection.parameters.entries()}
     changes, missing = found.against(known)
     rows = [
         {"name": name, "before": known[name].value, "value": value, "unit": _unit(known[name])}
         for name, value in changes.items()
     ]
-    own = drone.session.system
+    own = one.drone.session.system
     other = {"Vehicle-Id": f"{found.system}, while this drone is {own}"} if found.system not in (0, own) else {}
     return {"changes": rows, "missing": list(missing), "about": {**found.about, **other}}
 

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
+import secrets
 from contextlib import suppress
-from datetime import datetime
-from pathlib import Path as FilePath
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response, WebSocket
+from fastapi.responses import FileResponse
+from starlette.background import BackgroundTask
 from starlette.websockets import WebSocketDisconnect
 
 from twodof import __version__
-from twodof.flightlog.files import write_log
-from twodof.flightlog.log import log_of_rows
-from twodof.flightlog.provenance import versions
-from twodof.lab.access import WATCHERS_MAY, CurrentClient, Role, lab_router, takes
+from twodof.lab.access import WATCHERS_MAY, CurrentClient, Role, lab_router, receive_file, takes
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.lab import CurrentLab
+from twodof.lab.log_work import mat_of_rows
 from twodof.lab.telemetry_client import SocketRefused, TelemetryClient
 
 router = lab_router("/api/session", "session")
@@ -95,41 +92,42 @@ export_router = lab_router("/api/export", "export")
 MOST = 64 << 20
 """Largest body [bytes]: a quarter of an hour of fifteen columns."""
 _BINARY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+EXPORT_S = 30.0
 Columns = Annotated[str, Query(max_length=4096, description="Names of the columns, separated by commas.")]
 
 
 @export_router.post("/mat", openapi_extra=_BINARY, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
-async def mat(request: Request, columns: Columns) -> Response:
+async def mat(lab: CurrentLab, client: CurrentClient, request: Request, columns: Columns) -> Response:
     """Return the rows of a plot as a .mat file with the channels of the drone's own logs.
 
     The body is float64[n] times [s], then float32[n] of each column, little-endian. 422 for any other body.
     """
-    data = await request.body()
-    content = await asyncio.to_thread(_mat, data, columns.split(","))
-    return Response(content, media_type="application/octet-stream")
-
-
-def _mat(data: bytes, columns: list[str]) -> bytes:
-    now = datetime.now().astimezone().isoformat(timespec="seconds")
-    log = log_of_rows(data, columns, {"seen": {"saved": now}, "versions": versions()})
-    with TemporaryDirectory(prefix="twodof-") as folder:
-        path = FilePath(folder) / "seen.mat"
-        write_log(log, path)
-        return path.read_bytes()
+    path = lab.logs.scratch() / f"{secrets.token_hex(8)}.rows"
+    made = path.with_suffix(".mat")
+    try:
+        async with lab.exports[client.role].turn(client.address):
+            await receive_file(request, path)
+            await lab.log_bench.do(mat_of_rows, str(path), columns.split(","), str(made), seconds=EXPORT_S)
+    except BaseException:
+        made.unlink(missing_ok=True)
+        raise
+    finally:
+        path.unlink(missing_ok=True)
+    return FileResponse(
+        made, media_type="application/octet-stream", background=BackgroundTask(made.unlink, missing_ok=True)
+    )
 
 
 telemetry_router = APIRouter(tags=["telemetry"])
 
 
 @telemetry_router.websocket("/api/telemetry")
-async def telemetry(websocket: WebSocket, lab: CurrentLab) -> None:
+async def telemetry(websocket: WebSocket, lab: CurrentLab, client: CurrentClient) -> None:
     """Serve telemetry and events, see docs/reference/lab-routes.md."""
-    role = websocket.state.role
-    assert isinstance(role, Role)
     await websocket.accept()
     try:
-        async with TelemetryClient(websocket, role, lab) as client:
-            await client.serve()
+        async with TelemetryClient(websocket, client, lab) as served:
+            await served.serve()
     except SocketRefused as reason:
         with suppress(RuntimeError, WebSocketDisconnect):
             await websocket.close(reason.code, str(reason)[:120])

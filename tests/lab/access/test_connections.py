@@ -1,0 +1,120 @@
+"""Connections: time limits, and places by role that nobody without a token can take."""
+
+from __future__ import annotations
+
+import http.client
+import select
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import pytest
+
+from tests.lab.served import COMMAND, WATCH, Served, served
+from tests.patience import PATIENCE_S
+from twodof.lab import connections, telemetry_client
+
+pytestmark = pytest.mark.slow
+PLACES = 4
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    monkeypatch.setattr(connections, "MOST_PLACES", PLACES)
+    monkeypatch.setattr(telemetry_client, "MOST_CLIENTS", 2)
+    for name in ("HEAD_S", "BODY_S", "SEND_S"):
+        monkeypatch.setattr(connections, name, 0.5)
+    with served(tmp_path, command_token=COMMAND, watch_token=WATCH) as found:
+        yield found
+
+
+def opened(server: Served, sent: str = "") -> socket.socket:
+    """A connection that has sent something."""
+    client = socket.create_connection(("127.0.0.1", server.port), PATIENCE_S)
+    client.sendall(sent.encode())
+    return client
+
+
+def ends(client: socket.socket) -> bool:
+    """Return True once the server closes a connection."""
+    try:
+        while client.recv(65536):
+            pass
+    except ConnectionResetError:
+        pass
+    return True
+
+
+HEAD = f"POST /api/excitations/preview HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {WATCH}\r\n"
+JSON = "Content-Type: application/json\r\n"
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        "GET / HTT",
+        f"{HEAD}X-A: b",
+        f"{HEAD}{JSON}Content-Length: 100\r\n\r\n{{",
+        f"{HEAD}{JSON}Transfer-Encoding: chunked\r\n\r\n1\r\n{{\r\n",
+        f"GET /api/session HTTP/1.1\r\nHost: localhost\r\n\r\n{HEAD}{JSON}Content-Length: 9\r\n\r\n{{",
+    ],
+    ids=["head", "headers", "body", "chunks", "pipelined"],
+)
+def test_a_slow_request_ends_in_its_time(server: Served, sent: str) -> None:
+    with closing(opened(server, sent)) as slow:
+        assert ends(slow)
+
+
+def test_an_unread_answer_ends_in_its_time(server: Served) -> None:
+    ask = f"GET /api/openapi.json HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {WATCH}\r\n\r\n"
+    with closing(socket.socket()) as slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.connect(("127.0.0.1", server.port))
+        slow.sendall(ask.encode() * 50)
+        reset = select.poll()
+        reset.register(slow, 0)
+        assert reset.poll(1000 * PATIENCE_S)
+
+
+def test_each_role_has_its_own_places(server: Served) -> None:
+    kept = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
+    with ExitStack() as stack, closing(kept):
+        kept.request("GET", "/api/session", headers={"Authorization": f"Bearer {COMMAND}"})
+        assert kept.getresponse().read()
+        place = kept.sock
+        for token in (WATCH, "unknown", WATCH):
+            ask = f"GET /api/session HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\n\r\n"
+            clients = []
+            for _ in range(3 * PLACES):
+                clients.append(stack.enter_context(closing(opened(server, ask))))
+                assert clients[-1].recv(64).startswith(b"HTTP/1.1 ")
+            assert ends(clients[0])  # the oldest one made room
+        kept.request("GET", "/api/session", headers={"Authorization": f"Bearer {COMMAND}"})
+        assert kept.getresponse().status == 200
+        assert kept.sock is place
+
+
+def test_watchers_leave_the_commander_a_socket(server: Served) -> None:
+    with server.socket(WATCH) as first, server.socket(WATCH) as second, server.socket(WATCH) as third:
+        assert first.event("session")
+        assert second.event("session")
+        code, why = third.closed()
+        assert (code, why) == (1013, "2 clients are connected already")
+        with server.socket(COMMAND) as ours:
+            assert ours.event("session")["role"] == "command"
+
+
+def test_an_object_with_many_members_is_refused(server: Served) -> None:
+    for body in ({f"k{k}": 1 for k in range(300)}, {"excitation": {f"k{k}": 1 for k in range(300)}}, [{"a": {}}] * 9):
+        answer = server.ask("POST", "/api/excitations/preview", body, token=WATCH)
+        assert answer.status == (422 if isinstance(body, list) else 413), answer.content[:200]
+
+
+def test_a_forged_address_is_not_believed(server: Served) -> None:
+    asked = {"experiment": {"name": "doublet"}}
+    answers = [
+        server.ask("POST", "/api/identification/plan", asked, {"X-Forwarded-For": f"10.0.0.{k}"}, WATCH)
+        for k in range(8)
+    ]
+    assert {answer.status for answer in answers} == {202, 409}  # one person's share
