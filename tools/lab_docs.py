@@ -80,6 +80,7 @@ logs. A client that does not keep up loses its oldest rows first: {MOST_BYTES //
 client notices.
 
 The columns are {{columns}}. `truth` is that of a virtual rig.
+`safety.action` is the number of the failsafe's action, 0 for none.
 
 ### Events
 

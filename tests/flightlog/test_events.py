@@ -27,9 +27,9 @@ def test_synthetic_events() -> None:
     assert [event.time - 100.0 for event in steps] == pytest.approx([2.0, 3.0], abs=SAMPLE)
     assert [(event.before, event.after) for event in steps] == [(0.0, 0.1), (0.1, 0.0)]
     assert setpoint_steps(log, "q0") == []
-    assert steps_by(log, "theta0", 0.104, 0.9) == steps, "up and down, within 5 %"
-    assert steps_by(log, "theta0", 0.1, 1.1) == steps[1:], "the first is followed for 1 s"
-    assert steps_by(log, "theta0", 0.11, 0.9) == steps_by(log, "q0", 0.1, 0.0) == []
+    assert steps_by(log, "attitude", 0.104, 0.9) == steps, "up and down, within 5 %"
+    assert steps_by(log, "attitude", 0.1, 1.1) == steps[1:], "the first is followed for 1 s"
+    assert steps_by(log, "attitude", 0.11, 0.9) == steps_by(log, "rate", 0.1, 0.0) == []
     assert openloop_edges(log) == []
     assert window(log, steps) == pytest.approx((101.7, log.armed()[0][1]), abs=SAMPLE)
     with pytest.raises(LogError, match="no event"):

@@ -314,6 +314,29 @@ def test_an_excitation_is_stopped_in_time_though_time_stands_still() -> None:
     assert run_virtual(call()) == pytest.approx(2.0, abs=LATE_S)
 
 
+def test_an_excitation_that_plays_unconfirmed_is_told() -> None:
+    silent = False
+
+    def spoil(_: int, sent: Any) -> list[Any]:
+        kind = sent.get_type()
+        return [] if kind == "TWODOF_EXCITE_STATUS" and sent.state != 2 and (silent or sent.state == 4) else [sent]
+
+    async def call() -> str:
+        nonlocal silent
+        async with Peer(spoil=spoil) as peer, await AsyncDrone.connect(peer.url, CALL_S) as drone:
+            await drone.arm()
+            silent = True
+            with pytest.raises(Timeout, match="sending an excitation"):
+                await drone.excite(EXCITATION, thrust=0.4, wait=False, timeout=2.0)
+            assert drone.exciter.playback is None
+            silent = False
+            peer.send("TWODOF_EXCITE_STATUS", state=3, transfer=1, tick=peer.tick, start_tick=peer.tick, received=1)
+            await asyncio.sleep(0.1)
+            return drone.exciter.playback.state if drone.exciter.playback else ""
+
+    assert run_virtual(call()) == "playing"
+
+
 def test_a_server_that_accepts_and_says_nothing_holds_nobody_up() -> None:
     """The synchronous face, over TCP and in real time."""
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -13,6 +13,7 @@ from twodof.cli.app import run
 from twodof.errors import LogError
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.steps import SAFETY
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
 from twodof.report.step_responses import most_stepped, step_responses
 from twodof.signals import ATTITUDE, PERIOD
@@ -66,6 +67,39 @@ def test_step_of_an_open_loop_does_not_count() -> None:
     assert most_stepped(step_responses(free)) == ()
     with pytest.raises(LogError, match="no set-point of it steps"):
         comparison_view({"one": log, "other": free})
+
+
+def with_safety(log: FlightLog, start: float, end: float) -> FlightLog:
+    """The log of a flight in which the failsafe acts from `start` to `end` [s]."""
+    time = log["mode"].time
+    acts = np.where((time >= start - 1e-9) & (time < end - 1e-9), 1.0, 0.0)
+    rows = np.column_stack([acts, acts, acts])
+    return FlightLog({**log.channels, "safety": Channel(time, rows, "", SAFETY, "safety")})
+
+
+def test_what_the_failsafe_flies_is_no_step() -> None:
+    log = flight(10.0)
+    up, _ = step_responses(log)
+    (cut,) = step_responses(with_safety(log, 13.0, 13.5))  # it levels: the set-point's way down is not the user's
+    assert (cut.time, cut.end, cut.figures.rise_time) == (up.time, 13.0, up.figures.rise_time)
+    (back,) = step_responses(with_safety(log, 12.0, 13.0))  # the set-point returns when it has done, as a step
+    assert (back.after, back.end) == (0.2, 12.0)
+    assert step_responses(with_safety(log, 10.9, 13.1)) == ()
+
+
+def test_settling_is_of_the_mean_response() -> None:
+    calm, gust = flight(10.0), 0.1 * 0.2
+    time = calm["theta"].time
+    # Up late after the first step, as far down late after the second one, which goes down: the mean does not move.
+    push = np.where((time % 2.0 > 0.5) & (time % 2.0 < 0.7), gust, 0.0) * np.where(time < 12.0, 0.0, 1.0)
+    blown = Channel(time, calm["theta"].value + push, "rad")
+    log = FlightLog({**calm.channels, "theta": blown})
+    expected, (up, down) = step_responses(calm)[0].figures.settling_time, step_responses(log)
+    assert up.figures.settling_time == down.figures.settling_time == pytest.approx(expected, abs=PERIOD)
+    assert up.averaged == down.averaged == 2
+    tuned = FlightLog(log.channels, {"changes": [[12.0, "ATT_KP", 9.0]]})
+    assert [one.averaged for one in step_responses(tuned)] == [1, 1]
+    assert step_responses(tuned)[0].figures.settling_time > 1.0 > expected, "each alone is moved by the gust"
 
 
 def test_the_real_drone_answers_as_published(flight_data: Path) -> None:

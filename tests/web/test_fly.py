@@ -122,6 +122,8 @@ def test_a_watcher_may_only_stop(lab_server: LabServer, open_page: OpenPage) -> 
     reaches(page, "Position x", 0.0, 0.05)
     assert "token" not in page.url
     lab_server.tell("arm")
+    expect(page.get_by_text("Commanded from a page").first).to_be_visible()
+    expect(page.get_by_text("You command")).to_have_count(0)
     page.get_by_role("button", name=STOP).click()  # but whoever stands beside it may stop it
     lab_server.until(killed=True, armed=False)
     expect(page.get_by_label("Log of the drone")).to_contain_text(

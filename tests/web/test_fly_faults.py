@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.web.conftest import OpenPage
+from tests.web.conftest import OpenPage, picture
 from tests.web.lab_server import LabServer
 from tests.web.pilot import armed, flies_to, flying, press, reaches
 from twodof.flightlog.files import read_log
@@ -66,7 +66,12 @@ def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPa
         expect(page.get_by_text("Commanded by").first).to_be_visible()
         expect(page.get_by_role("button", name="Take command")).to_be_visible()
         page.get_by_role("button", name="Arm", exact=True).click()
-        expect(page.get_by_label("Messages").get_by_text("holds the lease")).to_be_visible()
+        messages, main = page.get_by_label("Messages"), page.locator("main")
+        expect(messages.get_by_text("holds the lease")).to_be_visible()
+        inside, below = main.bounding_box(), messages.bounding_box()
+        assert inside
+        assert below
+        assert inside["y"] + inside["height"] <= below["y"] + 1, "it covers what is shown"
     expect(page.get_by_text("Not commanded").first).to_be_visible()
     page.get_by_role("button", name="Take command").click()
     expect(page.get_by_text("You command").first).to_be_visible()
@@ -92,6 +97,57 @@ def test_the_failsafe_reports_its_reason(lab_server: LabServer, open_page: OpenP
     page.get_by_role("tab", name="Position").click()
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.03)
     expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_hidden()
+
+
+def test_a_stopped_drone_is_armed_again(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link, expects=REFUSED)
+    armed(page)
+    number = page.get_by_label("Pitch θ, number")
+    number.fill("45")  # beyond the stop of the pitch
+    number.press("Enter")
+    lab_server.until(armed=False, failsafe="off")
+    card = page.locator("section", has=page.get_by_role("heading", name="Flight", exact=True))
+    expect(card.get_by_text("The failsafe has stopped the motors")).to_be_visible()
+    expect(card.get_by_text("Cannot be armed yet")).to_be_hidden()
+    picture(page, "fly-stopped-by-failsafe")
+    card.get_by_role("button", name="Disarm").click()  # also acknowledges it
+    expect(card.get_by_text("The failsafe has stopped the motors")).to_be_hidden()
+    armed(page)
+
+
+def test_an_offline_stop_is_sent_when_the_link_is_back(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link, expects=GONE, own=True)
+    armed(page)
+    page.context.set_offline(True)
+    page.keyboard.press("F8")
+    expect(page.get_by_text("The stop has not reached drone")).to_be_visible()
+    assert not lab_server.state["killed"]
+    picture(page, "stop-offline")
+    page.context.set_offline(False)
+    lab_server.until(killed=True, armed=False)
+    expect(page.get_by_text("The stop has not reached drone")).to_be_hidden()
+    lab_server.tell("release")
+    page.context.set_offline(True)
+    page.keyboard.press("F8")
+    page.get_by_role("button", name="Do not send it again").click()
+    page.context.set_offline(False)
+    expect(page.get_by_role("button", name="Arm", exact=True)).to_be_enabled()
+    assert not lab_server.state["killed"]
+
+
+def test_what_the_failsafe_flies_is_no_flown_step(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    armed(page)
+    number = page.get_by_label("Pitch θ, number")
+    number.fill("15")  # with the cart free it runs to the rail's end, where the failsafe brakes it
+    number.press("Enter")
+    expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_visible()
+    lab_server.tell("setpoint", {"loop": "theta", "value": 0.0}, "PUT")
+    lab_server.until(failsafe="none")
+    reaches(page, "Pitch θ", 0.0, 3.0)
+    steps = page.get_by_role("table", name="Steps as they are flown").get_by_role("rowheader")
+    expect(steps.filter(has_text="→ 15")).to_have_count(1)
+    expect(steps.filter(has_text="15.0 →")).to_have_count(0)
 
 
 def test_a_slept_tab_reports_it_and_resumes(lab_server: LabServer, open_page: OpenPage) -> None:

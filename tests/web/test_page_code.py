@@ -25,6 +25,7 @@ from twodof.compile.builder import build
 from twodof.flight.gains import DEFAULT
 from twodof.flight.starters import starter
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.steps import SAFETY
 from twodof.report.step_responses import FOLLOWING, step_responses
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
@@ -194,7 +195,9 @@ def _flight(seed: int, loop: str) -> dict[str, Any]:
         response[k] = value
     response += rng.normal(0.0, 1e-3, time.size)
     mode = np.full(time.size, float(MODES.index(loop)))
-    mode[:600] = mode[2600:2800] = 0.0
+    mode[:600] = mode[2600:2800] = mode[-1] = 0.0
+    action = np.zeros(time.size)
+    action[1500:1700] = 1.0  # the failsafe levels it meanwhile
     moment = np.clip(0.5 * (wanted - response), -0.3, 0.3)
     # The page keeps float32, as the drone sends it.
     columns = {
@@ -203,6 +206,7 @@ def _flight(seed: int, loop: str) -> dict[str, Any]:
         WANTED[loop]: wanted,
         f"estimate.{FOLLOWING[loop]}": response,
         "state.mode": mode,
+        "safety.action": action,
         "command.M": moment,
     }
     columns = {name: np.float64(np.float32(one)) for name, one in columns.items()}
@@ -219,7 +223,9 @@ def _flight(seed: int, loop: str) -> dict[str, Any]:
         {
             names[name]: Channel(*((time[sparse], one[sparse]) if name in rare else (time, one)))
             for name, one in columns.items()
+            if name in names
         }
+        | {"safety": Channel(time, np.column_stack([action] * 3), "", SAFETY, "safety")}
     )
     return {
         "name": f"{loop} {seed}",

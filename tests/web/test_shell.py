@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from tests.web.conftest import OpenPage, files_served, readable
+from tests.lab.served import served as lab_served
+from tests.web.conftest import OpenPage, files_served, picture, readable
 
 pytestmark = pytest.mark.slow
 
@@ -51,3 +52,13 @@ def test_the_skip_link_stays_on_the_page(files_only: str, open_page: OpenPage) -
     page.keyboard.press("Enter")
     expect(page.locator("main")).to_be_focused()
     assert page.url.endswith("#/tune")
+
+
+def test_a_link_of_an_earlier_start_is_named(built_page: Path, tmp_path: Path, open_page: OpenPage) -> None:
+    with lab_served(tmp_path, command_token="a-token-of-the-present-start-1234") as server:
+        page = open_page(f"http://{server.host}/?token=a-token-of-an-earlier-start-12345", expects=("401", "WebSocket"))
+        expect(page.get_by_text("This link is of an earlier start of the server.")).to_be_visible()
+        picture(page, "earlier-start")
+        page.goto(f"http://{server.host}/?token=a-token-of-the-present-start-1234")
+        expect(page.get_by_text("This link is of an earlier start of the server.")).to_have_count(0)
+        expect(page.get_by_text("No drone", exact=True)).to_be_visible()

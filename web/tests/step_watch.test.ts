@@ -14,6 +14,7 @@ interface Found {
   peak: number;
   peak_time: number;
   peak_moment: number;
+  averaged: number;
 }
 interface Case {
   name: string;
@@ -59,6 +60,7 @@ describe.skipIf(cases.length === 0)("the figures of steps as they happen", () =>
           [step.figures.peak, found.peak],
           [step.figures.peakTime, found.peak_time],
           [step.peakMoment, found.peak_moment],
+          [step.averaged, found.averaged],
         ];
         // The same operations on the same doubles; numpy may add in another order, so the last digits may differ.
         for (const [here, there] of pairs) {

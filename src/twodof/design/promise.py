@@ -292,7 +292,7 @@ class Promise:
         step, end, found = self.step, self.time[-1], []
         grid = np.asarray(np.arange(-TRIM, len(self.time)) * PERIOD, dtype=np.float64)
         later = {"theta": _THETA_LATER} if step.follows == "theta" else {}
-        for one in steps_by(log, step.setpoint, self.goal, end):
+        for one in steps_by(log, self.loop, self.goal, end):
             sign = math.copysign(1.0, one.after - one.before)
             flown = {c: sign * log.resample(c, grid + one.time + later.get(c, 0.0)) for c in step.channels}
             if step.follows not in step.zeroed:

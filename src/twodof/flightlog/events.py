@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog.log import MAX_STRETCHES, FlightLog
-from twodof.signals import MODES, OFF, OPEN_LOOP, POSITION
+from twodof.signals import MODES, OFF, OPEN_LOOP, PERIOD, POSITION
 
 # A set-point that comes from outside is sent at 50 Hz and held for 20 ms or more; one that a loop computes
 # changes with its measurement, at 250 Hz or, from x and v, at 100 Hz (intervals up to 13.5 ms).
@@ -82,16 +82,45 @@ def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1) -> list[Event
     ]
 
 
-def steps_by(log: FlightLog, name: str, size: float, lasting: float, tolerance: float = 0.05) -> list[Event]:
-    """Return the steps of a set-point by `size`, up or down, whose new level lasts for `lasting` [s] or more.
+def failsafe_acts(log: FlightLog) -> list[tuple[float, float]]:
+    """Return the times (start, end) [s] at which the failsafe acts; none for a log without the channel `safety`."""
+    if "safety" not in log or "action" not in log["safety"].fields or not len(log["safety"]):
+        return []
+    time, acts = log["safety"].time, log["safety"].field("action") > 0.0
+    starts = _run_starts(acts)
+    _check_count(starts.size, "acts of the failsafe", f"{log.source}: safety")
+    ends = np.append(time[starts[1:]], max(time[-1], log.span[1]))
+    return [(float(time[a]), float(end)) for a, end in zip(starts, ends, strict=True) if acts[a]]
+
+
+def flown_steps(log: FlightLog, mode: str, held_s: float = 0.1) -> list[tuple[Event, float]]:
+    """Return the steps of the set-point of `mode` that were asked for and flown, each with the end [s] of its response.
+
+    Both levels were held for `held_s` [s], in this mode. What the failsafe flies is no step, nor is the return to the
+    set-point after it. The response ends at the next step, with the mode, or where the failsafe acts. Raises LogError.
+    """
+    acts, found = failsafe_acts(log), []
+    steps = setpoint_steps(log, SETPOINTS[mode], held_s)
+    for stretch in modes(log):
+        if stretch.mode != mode:
+            continue
+        inside = [step for step in steps if stretch.t0 < step.time < stretch.t1]
+        ends = [*(step.time for step in inside[1:]), stretch.t1]
+        for step, end in zip(inside, ends, strict=False):
+            # A set-point is stamped some microseconds after the word of the failsafe in the same step.
+            if not any(start - PERIOD <= step.time <= stop + PERIOD for start, stop in acts):
+                found.append((step, min([end, *(start for start, _ in acts if start > step.time)])))
+    return found
+
+
+def steps_by(log: FlightLog, mode: str, size: float, lasting: float, tolerance: float = 0.05) -> list[Event]:
+    """Return the `flown_steps` by `size`, up or down, whose response lasts for `lasting` [s] or more.
 
     `tolerance` is a share of the size. Raises LogError.
     """
-    steps = setpoint_steps(log, name)
-    ends = [*(step.time for step in steps[1:]), float(log[name].time[-1])] if steps else []
     return [
         step
-        for step, end in zip(steps, ends, strict=True)
+        for step, end in flown_steps(log, mode)
         if abs(abs(step.after - step.before) - size) <= tolerance * size and end - step.time >= lasting
     ]
 

@@ -49,6 +49,7 @@ class ExcitationPlayer:
         self._session, self._clock = session, clock
         self._transfers = count(1)
         self.playback: ExcitationPlayback | None = None
+        self._unconfirmed: ExcitationPlayback | None = None  # its start had no answer: it may play all the same
         session.on(self._told, *_STATUS)
 
     async def start(
@@ -81,11 +82,11 @@ class ExcitationPlayer:
 
         # A short one may be over before this call goes on: `_told` keeps the status that comes meanwhile.
         before, playback = self.playback, ExcitationPlayback(transfer, 0, 0)
-        self.playback = playback
+        self.playback, self._unconfirmed = playback, None
         try:
             first, end = await self._session.ask(lambda _: start, _STATUS, begun, deadline)
         except BaseException:
-            self.playback = before
+            self.playback, self._unconfirmed = before, playback
             raise
         # A wrong end tick must not make this call wait for longer than the excitation lasts.
         longest = ceil(excitation.duration / TICK_S) + 1
@@ -140,6 +141,10 @@ class ExcitationPlayer:
         return await session.ask(question, _STATUS, answer, deadline)
 
     def _told(self, got: Any) -> None:
+        late = self._unconfirmed
+        if late is not None and got.transfer == late.transfer and got.state in _STATES:
+            late.start_tick, late.end_tick = self._clock.meant(got.start_tick), self._clock.meant(got.end_tick)
+            self.playback, self._unconfirmed = late, None
         playback = self.playback
         if playback is not None and got.transfer == playback.transfer:
             playback.state = _STATES.get(got.state, playback.state)

@@ -149,7 +149,6 @@ class ModelFolder(NamedFiles):
             return {}
 
 
-SHOWN_S = 3.0
 LEAST = 0.035
 """Smallest step [rad] that is shown: a smaller one is mostly noise after scaling."""
 MOST_STEPS = 12
@@ -158,7 +157,7 @@ MOST_STEPS = 12
 def measured_steps(path: str, goal: float) -> dict[str, Any]:
     """Return the last steps of the attitude's set-point in a log, each scaled to go from 0 to `goal` [rad].
 
-    `time` [s] is from the step on, up to the next. `unclear` has the reason if there are none, as in a log that has no
+    `time` [s] is from the step on, up to its end. `unclear` has the reason if there are none, as in a log that has no
     modes or cannot be read.
     """
     try:
@@ -166,18 +165,13 @@ def measured_steps(path: str, goal: float) -> dict[str, Any]:
         flown = [one for one in step_responses(log) if one.loop == "attitude"]
     except LogError as reason:
         return {"steps": [], "unclear": reason.what}
-    ends = [*(one.time for one in flown[1:]), float("inf")]
-    found = [
-        _scaled(log, one, goal, min(SHOWN_S, end - one.time))
-        for one, end in zip(flown, ends, strict=False)
-        if abs(one.after - one.before) >= LEAST
-    ]
+    found = [_scaled(log, one, goal) for one in flown if abs(one.after - one.before) >= LEAST]
     return {"steps": found[-MOST_STEPS:], "unclear": ""}
 
 
-def _scaled(log: FlightLog, step: FlownStep, goal: float, shown: float) -> dict[str, Any]:
+def _scaled(log: FlightLog, step: FlownStep, goal: float) -> dict[str, Any]:
     factor = goal / (step.after - step.before)
-    flown = log["theta"].slice(step.time, step.time + shown)
+    flown = log["theta"].slice(step.time, step.end)
     figures = step.to_json()
     return {
         "at": step.time,

@@ -25,10 +25,12 @@ from twodof.signals import PERIOD, TOPICS
 _SENT = frozenset(channel_bits())
 ONBOARD = tuple(column for row in TOPICS for column in row.columns if column.replace(".", "_").upper() in _SENT)
 TRUTH = tuple(column for row in TOPICS if not row.onboard for column in row.columns)
-COLUMNS = (*ONBOARD, *TRUTH)
-"""Columns for subscriptions: every column that a drone sends at the full rate, and the truth of a virtual rig."""
+ACTION = "safety.action"
+COLUMNS = (*ONBOARD, *TRUTH, ACTION)
+"""Columns for subscriptions: every column that a drone sends at the full rate, the truth of a virtual rig, and the
+number of the failsafe's action (0: none)."""
 PLACES = MappingProxyType({column: place for place, column in enumerate(COLUMNS)})
-_TRUTH_PLACES = np.arange(len(ONBOARD), len(COLUMNS), dtype=np.intp)
+_TRUTH_PLACES = np.arange(len(ONBOARD), len(ONBOARD) + len(TRUTH), dtype=np.intp)
 BACK_TICKS = 250
 """A tick older by this much shows a restart of the drone; a less old tick came too late."""
 PATIENCE_TICKS = 12
@@ -42,6 +44,13 @@ class TickRows:
         self._waiting: dict[int, NDArray[np.float32]] = {}
         self._given = -1
         self._newest = [-1, -1]  # tick on board, of the truth
+        self._actions: deque[tuple[int, int]] = deque([(-1, 0)], maxlen=100)  # since which tick, number
+
+    def action(self, since: int, number: int) -> None:
+        """Note the failsafe's action, which has the `number` since a tick."""
+        while self._actions and self._actions[-1][0] >= since:  # told again, or the drone has restarted
+            self._actions.pop()
+        self._actions.append((since, number))
 
     def onboard(self, ticks: NDArray[np.uint32], values: NDArray[np.float32], places: NDArray[np.intp]) -> None:
         """Add the rows of a batch, whose columns have the indices `places` in COLUMNS."""
@@ -72,6 +81,9 @@ class TickRows:
         if not whole:
             return None
         values = np.stack([self._waiting.pop(tick) for tick in whole])
+        since, numbers = zip(*self._actions, strict=True)
+        at = np.searchsorted(since, whole, side="right") - 1
+        values[:, PLACES[ACTION]] = np.where(at < 0, 0, np.array(numbers)[at])
         self._given = whole[-1]
         return np.array(whole, dtype=np.int64), values
 

@@ -1,15 +1,16 @@
 """Step responses of a flight: rise, overshoot and settling of each step of a set-point."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from twodof.flightlog.events import SETPOINTS, modes, setpoint_steps
-from twodof.flightlog.log import FlightLog
+from twodof.flightlog.events import flown_steps, modes
+from twodof.flightlog.log import Channel, FlightLog
 from twodof.models.lti import StepFigures, step_figures
 from twodof.signals import PERIOD
 
@@ -19,6 +20,9 @@ FOLLOWING = MappingProxyType({"rate": "q", "attitude": "theta", "velocity": "v",
 SETTLED = 0.05
 """A response has settled within this share of the step: gusts and noise keep a real drone outside the usual 2 %."""
 
+WINDOW_S = MappingProxyType({"rate": 3.0, "attitude": 3.0, "velocity": 4.0, "position": 8.0})
+"""Longest response [s] from which figures are read, by loop: later than that a gust moves it, and not the step."""
+
 # A set-point that is held for less leaves no response to read figures from; a sweep at 50 Hz has no steps.
 _HELD_S = 0.25
 
@@ -27,16 +31,20 @@ _HELD_S = 0.25
 class FlownStep:
     """One step of the set-point of `loop` at `time` [s], from `before` to `after` (SI), and the response to it.
 
-    `figures` are of the estimate that follows the set-point, until the next step. Times are in seconds from the step,
-    settling is to within `SETTLED`, overshoot a share of it. `peak_moment` is the largest |M| in that time.
+    `figures` are of the estimate that follows the set-point, until `end` [s]: the next step, an act of the failsafe, or
+    `WINDOW_S` later. Times are in seconds from the step, overshoot is a share of it. `peak_moment` is the largest |M|
+    in that time. Settling is to within `SETTLED`, of the mean of `averaged` responses: those of the loop's steps under
+    the same parameters, each as a share of its step. So a gust, which moves each of them, moves it less.
     """
 
     loop: str
     time: float
     before: float
     after: float
+    end: float
     figures: StepFigures
     peak_moment: float
+    averaged: int = 1
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data, with None for a figure that the response never reached."""
@@ -45,27 +53,54 @@ class FlownStep:
 
 
 def step_responses(log: FlightLog) -> tuple[FlownStep, ...]:
-    """Return the responses to all steps of set-points that were in use, by time.
+    """Return the responses to all `flown_steps`, by time; both levels were held for a quarter of a second.
 
-    A step counts if its loop was the outermost closed one and both levels were held for a quarter of a second. Raises
-    LogError for a log without the channels of the mode.
+    Raises LogError for a log without the channels of the mode.
     """
     found = []
-    for stretch in modes(log):
-        name = FOLLOWING.get(stretch.mode)
+    for loop in dict.fromkeys(stretch.mode for stretch in modes(log)):
+        name = FOLLOWING.get(loop)
         if name is None or name not in log:
             continue
-        wanted = SETPOINTS[stretch.mode]
-        steps = [step for step in setpoint_steps(log, wanted, _HELD_S) if stretch.t0 < step.time < stretch.t1]
-        ends = [step.time for step in steps[1:]] + [stretch.t1] * bool(steps)
-        for step, end in zip(steps, ends, strict=True):
+        for step, last in flown_steps(log, loop, _HELD_S):
+            end = min(last, step.time + WINDOW_S[loop])
             measured = log[name].slice(step.time, end)
             if len(measured) < 2:
                 continue
             figures = step_figures(measured.time - step.time, measured.value, step.before, step.after, SETTLED)
-            peak = _peak_moment(log, step.time, end)
-            found.append(FlownStep(stretch.mode, step.time, step.before, step.after, figures, peak))
-    return tuple(found)
+            found.append(
+                FlownStep(loop, step.time, step.before, step.after, end, figures, _peak_moment(log, step.time, end))
+            )
+    return tuple(sorted(_with_mean_settling(log, found), key=lambda one: one.time))
+
+
+def _with_mean_settling(log: FlightLog, found: Sequence[FlownStep]) -> list[FlownStep]:
+    """Replace the settling of each step by that of the mean response of its loop under the same parameters."""
+    changes = log.provenance.get("changes")
+    rows = [row for row in changes if isinstance(row, list) and row] if isinstance(changes, list) else []
+    changed = sorted(float(row[0]) for row in rows if isinstance(row[0], int | float))
+    groups: dict[tuple[str, int], list[FlownStep]] = {}
+    for one in found:
+        groups.setdefault((one.loop, bisect_right(changed, one.time)), []).append(one)
+    return [
+        replace(one, figures=replace(one.figures, settling_time=settling), averaged=count)
+        for (loop, _), group in groups.items()
+        for settling, count in [_mean_settling(log[FOLLOWING[loop]], group)]
+        for one in group
+    ]
+
+
+def _mean_settling(followed: Channel, group: Sequence[FlownStep]) -> tuple[float, int]:
+    """Return the settling time [s] of the mean response, and of how many: those that last as long as half of them."""
+    lasting = sorted(one.end - one.time for one in group)[(len(group) - 1) // 2]
+    time = PERIOD * np.arange(int(lasting / PERIOD + 1e-6) + 1)
+    shares = []
+    for one in group:
+        if one.end - one.time >= lasting - 1e-6:
+            part = followed.slice(one.time, one.end)
+            share = (part.value - one.before) / (one.after - one.before)
+            shares.append(np.interp(time, part.time - one.time, share))
+    return step_figures(time, np.mean(shares, axis=0), 0.0, 1.0, SETTLED).settling_time, len(shares)
 
 
 def _peak_moment(log: FlightLog, start: float, end: float) -> float:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twodof.lab.telemetry_rows import (
+    ACTION,
     COLUMNS,
     MOST_BYTES,
     MOST_EVENTS,
@@ -153,3 +154,21 @@ def test_rows_of_a_subscription_that_ended_are_not_sent() -> None:
     outbox.put(Rows(stream, b"y", 1))
     ended.ended = True
     assert asyncio.run(outbox.next()) == Rows(stream, b"y", 1)
+
+
+def test_rows_tell_the_action_of_the_failsafe() -> None:
+    rows, empty = TickRows(), np.empty(0, dtype=np.intp)
+
+    def told(*ticks: int) -> list[float]:
+        rows.onboard(np.array(ticks, dtype=np.uint32), np.zeros((len(ticks), 0), dtype=np.float32), empty)
+        found = rows.take()
+        assert found is not None
+        return [float(value) for value in found[1][:, PLACES[ACTION]]]
+
+    rows.action(0, 0)
+    rows.action(102, 1)
+    rows.action(104, 0)
+    rows.action(104, 0)  # once a second it is told again
+    assert told(100, 101, 102, 103, 104, 105) == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
+    rows.action(1, 4)  # of a drone that has restarted
+    assert told(106, 107) == [4.0, 4.0]

@@ -22,6 +22,8 @@ export interface DroneState {
   lease_holder: readonly [number, number] | null;
   ours_leases: boolean;
   experiment?: boolean;
+  /** Ticks of the excitation of this server that plays, or null. */
+  excitation?: { start_tick: number; end_tick: number } | null;
   controller: string;
   changed_parameters: number;
   rings_locked: boolean;

@@ -98,7 +98,9 @@ export interface LoggedStep {
   peak_moment: number | null;
   rise_time: number | null;
   overshoot: number | null;
+  /** Of the mean of `averaged` responses. */
   settling_time: number | null;
+  averaged: number;
   peak: number | null;
 }
 

@@ -81,7 +81,8 @@ export function changeParameters(drone: number, changes: Record<string, number>,
 
 export const undoChange = (drone: number) => send<{ changed: Change[] }>("POST", `${at(drone)}/undo`);
 
-export const guardOf = (drone: number) => get<{ model: string | null; controller: string }>(`tuning/${drone}`);
+export const guardOf = (drone: number) =>
+  get<{ model: string | null; controller: string; undo: Change[] }>(`tuning/${drone}`);
 
 export const chooseGuard = (drone: number, model: string | null) =>
   send<{ model: string | null }>("PUT", `tuning/${drone}/model`, { model });

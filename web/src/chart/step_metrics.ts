@@ -3,8 +3,17 @@
 
 export const SETTLED = 0.05;
 
+export const SETTLING =
+  "Until the mean response stays within 5 % of the step: that of the loop's steps under the same parameters";
+
 /** Least time [s] of both levels of a step. */
 export const HELD = 0.25;
+
+/** Time between two rows at the full rate [s]. */
+const PERIOD = 0.004;
+
+/** Longest response [s] from which figures are read; later than that a gust moves it, and not the step. */
+export const WINDOW: Record<string, number> = { q: 3, theta: 3, v: 4, x: 8 };
 
 /** M reacts at once, and is stamped up to half a period before the set-point [s]. */
 const EARLY = 0.002;
@@ -73,4 +82,29 @@ export function peakMoment(time: ArrayLike<number>, moment: ArrayLike<number>, s
     if (inside && !(peak >= Math.abs(moment[k]!))) peak = Math.abs(moment[k]!);
   }
   return peak;
+}
+
+/** A response as a share of its step, at times `since` [s] from it, up to `length` [s]. */
+export interface Response {
+  since: readonly number[];
+  share: readonly number[];
+  length: number;
+}
+
+/** Return the settling time [s] of the mean response, and of how many: those that last as long as half of them. */
+export function meanSettling(group: readonly Response[]): { settling: number; averaged: number } {
+  const lasting = group.map((one) => one.length).sort((a, b) => a - b)[(group.length - 1) >> 1] ?? 0;
+  const inside = group.filter((one) => one.length >= lasting - 1e-6);
+  const time = Array.from({ length: Math.floor(lasting / PERIOD + 1e-6) + 1 }, (_, k) => PERIOD * k);
+  const mean = new Float64Array(time.length);
+  for (const { since, share } of inside) {
+    let k = 0;
+    time.forEach((at, row) => {
+      while (k < since.length && since[k]! <= at) k += 1;
+      const [low, high] = [Math.max(k - 1, 0), Math.min(k, since.length - 1)];
+      const part = high > low ? Math.max(0, (at - since[low]!) / (since[high]! - since[low]!)) : 0;
+      mean[row]! += (share[low]! + part * (share[high]! - share[low]!)) / inside.length;
+    });
+  }
+  return { settling: time.length < 2 ? NaN : stepFigures(time, mean, 0, 1).settling, averaged: inside.length };
 }

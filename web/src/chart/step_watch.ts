@@ -1,13 +1,19 @@
 import { CONTROL_LOOPS, type ControlLoop } from "../loops";
 import type { History } from "./history";
-import { HELD, peakMoment, stepFigures, type Step, type StepFigures } from "./step_metrics";
+import { HELD, meanSettling, peakMoment, stepFigures, WINDOW } from "./step_metrics";
+import type { Response, Step, StepFigures } from "./step_metrics";
 
 const LOOPS = CONTROL_LOOPS.filter((one) => one.loop !== "M");
 const wanted = ({ loop }: ControlLoop): string => `setpoint.${loop}`;
 const follows = ({ loop }: ControlLoop): string => `estimate.${loop}`;
 
 /** Columns that `StepWatch` reads. */
-export const STEP_COLUMNS = ["state.mode", "command.M", ...LOOPS.flatMap((one) => [wanted(one), follows(one)])];
+export const STEP_COLUMNS = [
+  "state.mode",
+  "safety.action",
+  "command.M",
+  ...LOOPS.flatMap((one) => [wanted(one), follows(one)]),
+];
 
 /** Flown step; the current one is not `over`. */
 export interface FlownStep extends Step {
@@ -15,10 +21,12 @@ export interface FlownStep extends Step {
   figures: StepFigures;
   peakMoment: number;
   over: boolean;
+  /** Number of responses of which `figures.settling` is that of the mean. */
+  averaged: number;
+  /** Changes of parameters before it, in this flight. */
+  changes: number;
+  response: Response;
 }
-
-/** Longest response to a step [s]. */
-const LONGEST = 60;
 
 interface Level {
   value: number;
@@ -34,6 +42,7 @@ export class StepWatch {
   private restarts = 0;
   private run = new Map<ControlLoop, Level>();
   private held = new Map<ControlLoop, Level>();
+  private changes: number[] = [];
 
   constructor(
     private readonly history: History,
@@ -50,14 +59,20 @@ export class StepWatch {
     const fresh = this.read !== history.last;
     this.read = history.last;
     if (fresh && this.steps.some((step) => !step.over))
-      this.steps = this.steps.map((step) => (step.over ? step : this.measured(step, step.end)));
+      this.steps = settled(this.steps.map((step) => (step.over ? step : this.measured(step, step.end))));
     return this.steps;
+  }
+
+  /** Note that parameters have changed now: steps before and after it are not averaged. */
+  changed(): void {
+    if (this.history.length) this.changes.push(this.history.newest);
   }
 
   clear(): void {
     this.steps = [];
     this.run.clear();
     this.held.clear();
+    this.changes = [];
     this.read = this.history.first;
     this.restarts = this.history.restarts;
   }
@@ -80,24 +95,31 @@ export class StepWatch {
     this.end(loop, run.time);
     const figures = stepFigures([], [], before.value, value);
     const found = { loop, time: run.time, before: before.value, after: value, end: Infinity };
-    this.steps = [...this.steps, { ...found, figures, peakMoment: NaN, over: false }].slice(-this.kept);
+    const changes = this.changes.filter((one) => one <= run.time).length;
+    const response = { since: [], share: [], length: 0 };
+    const step = { ...found, figures, peakMoment: NaN, over: false, averaged: 1, changes, response };
+    this.steps = [...this.steps, step].slice(-this.kept);
   }
 
+  /** Return whether the loop follows the set-point that was asked for, and not that of the failsafe. */
   private follows(loop: ControlLoop, row: number): boolean {
     const mode = this.history.column("state.mode");
-    return mode === undefined || (row >= this.history.first && mode.at(row) === loop.mode);
+    const action = this.history.column("safety.action")?.at(row) ?? 0;
+    return !(action > 0) && (mode === undefined || (row >= this.history.first && mode.at(row) === loop.mode));
   }
 
   /** End the current step of a loop. */
   private end(loop: ControlLoop, time: number): void {
     const open = (step: FlownStep): boolean => step.loop === loop && !step.over;
     if (this.steps.some(open))
-      this.steps = this.steps.map((step) => (open(step) ? { ...this.measured(step, time), over: true } : step));
+      this.steps = settled(
+        this.steps.map((step) => (open(step) ? { ...this.measured(step, time), over: true } : step)),
+      );
   }
 
   private measured(step: FlownStep, end: number): FlownStep {
     const { history } = this;
-    const until = Math.min(end, step.time + LONGEST);
+    const until = Math.min(end, step.time + WINDOW[step.loop.loop]!);
     const [times, moments, since, values]: [number[], number[], number[], number[]] = [[], [], [], []];
     const response = history.column(follows(step.loop));
     const moment = history.column("command.M");
@@ -112,7 +134,20 @@ export class StepWatch {
     }
     if (values.length < 2) return { ...step, end };
     const figures = stepFigures(since, values, step.before, step.after);
-    const over = step.time + LONGEST < history.newest;
-    return { ...step, end, figures, peakMoment: peakMoment(times, moments, { ...step, end }), over };
+    const over = until < Math.min(end, history.newest);
+    const now = over ? { ...step, end: until } : { ...step, end };
+    const share = values.map((value) => (value - step.before) / (step.after - step.before));
+    const length = Math.min(until, history.newest) - step.time;
+    return { ...now, figures, peakMoment: peakMoment(times, moments, now), over, response: { since, share, length } };
   }
+}
+
+/** Give the steps of a loop under the same parameters the settling of their mean response; a step under way its own. */
+function settled(steps: readonly FlownStep[]): FlownStep[] {
+  return steps.map((step) => {
+    if (!step.over) return { ...step, averaged: 1 };
+    const group = steps.filter((one) => one.over && one.loop === step.loop && one.changes === step.changes);
+    const { settling, averaged } = meanSettling(group.map((one) => one.response));
+    return { ...step, figures: { ...step.figures, settling }, averaged };
+  });
 }

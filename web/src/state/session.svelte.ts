@@ -17,8 +17,12 @@ class Session {
   role = $state<"command" | "watch">("command");
   readonly watchOnly = $derived(this.role === "watch" ? "This link can only watch." : "");
   connected = $state(false);
+  /** The server is there and refuses the token: it is of an earlier start. */
+  refused = $state(false);
   /** Why the server cannot be reached, or "". */
-  readonly serverLost = $derived(this.connected ? "" : "No connection to the server.");
+  readonly serverLost = $derived(
+    this.connected ? "" : this.refused ? "The server does not accept this link." : "No connection to the server.",
+  );
   /** Why nothing can be changed, or "". The emergency stop is never off. */
   readonly off = $derived(this.serverLost || this.watchOnly);
   texts = $state.raw<readonly DroneText[]>([]);
@@ -43,6 +47,8 @@ class Session {
       }
       this.connected = connected;
       this.everConnected ||= connected;
+      if (connected) this.refused = false;
+      else void this.lookForRefusal();
     });
     from.start();
     setInterval(() => this.lookAtClocks(), LOOK_MS);
@@ -91,6 +97,15 @@ class Session {
       if (this.texts.length === 0) this.texts = said.flat().slice(-TEXTS_KEPT);
     } catch (failure) {
       if (!(failure instanceof ApiError && failure.status === 0)) toastError(failure);
+    }
+  }
+
+  /** A socket does not tell why it is closed; an answer does. */
+  private async lookForRefusal(): Promise<void> {
+    try {
+      await labSession();
+    } catch (failure) {
+      this.refused = !this.connected && failure instanceof ApiError && failure.status === 401;
     }
   }
 

@@ -7,11 +7,12 @@ export interface Toast {
   remedy: string;
 }
 
-const STAYS_MS = 6000;
+/** A failure takes longer to read. */
+const STAYS_MS = { info: 6000, good: 6000, warn: 20_000, bad: 20_000 };
 const MOST = 4;
 
-/** Visible messages; bad ones stay until they are closed. */
-export const toasts = $state<{ now: Toast[] }>({ now: [] });
+/** Visible messages; none leaves while they are read: while the pointer or the keyboard is on them. */
+export const toasts = $state<{ now: Toast[]; read: boolean }>({ now: [], read: false });
 
 let count = 0;
 
@@ -20,8 +21,13 @@ export function toast(text: string, kind: Toast["kind"] = "info", remedy = ""): 
   const id = ++count;
   const others = toasts.now.filter((one) => one.text !== text);
   toasts.now = [...others, { id, kind, text, remedy }].slice(-MOST);
-  if (kind === "info" || kind === "good") setTimeout(() => putAway(id), STAYS_MS);
+  setTimeout(() => leave(id), STAYS_MS[kind]);
   return id;
+}
+
+function leave(id: number): void {
+  if (toasts.read) setTimeout(() => leave(id), 1000);
+  else putAway(id);
 }
 
 export function toastError(failure: unknown): number {

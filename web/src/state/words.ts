@@ -25,32 +25,37 @@ function linkWord(state: DroneState): Word {
   return state.link === "heard" ? { kind: "good", text: "Link" } : { kind: "bad", text: "Link lost" };
 }
 
+/** Return whether the failsafe has stopped the motors, and neither Arm nor Disarm has acknowledged it. */
+export const stoppedByFailsafe = (state: DroneState): boolean =>
+  !state.armed && !state.killed && state.failsafe === "off";
+
 export function armedWord(state: DroneState): Word {
   if (state.killed) return { kind: "bad", text: "Stopped" };
+  if (stoppedByFailsafe(state)) return { kind: "bad", text: "Stopped by the failsafe" };
   return state.armed ? { kind: "warn", text: "Armed" } : { kind: "plain", text: "Disarmed" };
 }
 
 export function failsafeWord(state: DroneState): Word {
-  if (!state.armed) return { kind: "plain", text: "Failsafe ready" };
+  if (!state.armed && !stoppedByFailsafe(state)) return { kind: "plain", text: "Failsafe ready" };
   if (state.failsafe === "none") return { kind: "good", text: "Failsafe watches" };
   return { kind: state.failsafe === "off" ? "bad" : "warn", text: `Failsafe: ${state.failsafe}` };
 }
 
-export function leaseWord(state: DroneState): Word {
-  if (state.ours_leases) return { kind: "good", text: "You command" };
+export function leaseWord(state: DroneState, watches = false): Word {
+  if (state.ours_leases) return { kind: "good", text: watches ? "Commanded from a page" : "You command" };
   if (state.lease_holder === null) return { kind: "plain", text: "Not commanded" };
   if (state.experiment) return { kind: "good", text: "Commanded by an experiment" };
   return { kind: "warn", text: `Commanded by client ${state.lease_holder[0]}` };
 }
 
 /** Return the words of a drone's state in the order of the status bar. */
-export function stateWords(state: DroneState): Word[] {
+export function stateWords(state: DroneState, watches = false): Word[] {
   return [
     linkWord(state),
     armedWord(state),
     { kind: "plain", text: modeWord(state) },
     { ...failsafeWord(state), title: failsafeSentence(state) },
-    leaseWord(state),
+    leaseWord(state, watches),
   ];
 }
 

@@ -41,7 +41,7 @@ describe("what is followed", () => {
     expect(followed(at(5), true)).toBe("follows position 0.100\u00a0m");
     expect(followed(at(1), true)).toBe("flies a moment, no loop");
     for (const none of [followed(at(3), false), followed(at(NaN), true), followed(at(0), true)])
-      expect(none).toBe("follows nothing");
+      expect(none).toBe("follows no set-point");
   });
   it("has steps and a slider within what may be typed", () => {
     for (const row of LOOPS) {

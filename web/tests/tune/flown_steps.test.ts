@@ -14,7 +14,8 @@ function flown(before: number, after: number, loop: FlownStep["loop"] = attitude
   );
   history.append({ time, columns: [theta] });
   const figures = { rise: NaN, settling: NaN, overshoot: NaN, peak: NaN, peakTime: NaN };
-  return [history, { loop, time: 1, before, after, end: Infinity, figures, peakMoment: NaN, over: false }];
+  const rest = { peakMoment: NaN, over: false, averaged: 1, changes: 0, response: { since: [], share: [], length: 0 } };
+  return [history, { loop, time: 1, before, after, end: Infinity, figures, ...rest }];
 }
 
 describe("a flown step", () => {

@@ -46,6 +46,7 @@ class TelemetrySource:
         self._drone, self._feeds = drone, feeds
         self._rows = TickRows()
         self._flushing: asyncio.TimerHandle | None = None
+        drone.session.on(lambda got: self._rows.action(got.since, got.action), "TWODOF_SAFETY")
 
     def work(self) -> list[Coroutine[Any, Any, None]]:
         """Return coroutines to run side by side, which subscribe while a feed wants rows. Each raises LinkLost."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from datetime import datetime
 from typing import Annotated, Any
 
@@ -198,8 +199,14 @@ class AskedChanges(RequestBody):
 
 @tuning_router.get("/{number}")
 async def guarded(lab: CurrentLab, one: NamedDrone) -> dict[str, Any]:
-    """Return the model that guards the drone's gains, or null, and the pitch controller ("" is the stock one)."""
-    return {"model": lab.models.chosen(one.number), "controller": one.state["controller"]}
+    """Return the model that guards the drone's gains, or null, and the pitch controller ("" is the stock one).
+
+    `undo` has the rows of the last change by this server that `undo` takes back, none without one.
+    """
+    rows: list[dict[str, Any]] = []
+    with suppress(Rejected):
+        rows = _changed(one.connection.drone.parameters.last)["changed"]
+    return {"model": lab.models.chosen(one.number), "controller": one.state["controller"], "undo": rows}
 
 
 @tuning_router.put("/{number}/model")

@@ -33,7 +33,7 @@ export const LOOPS = (Object.keys(RANGES) as Loop[]).map(loopRow);
 /** Describe the set-point that the drone reports, whichever client sent it; `value` reads a column of telemetry. */
 export function followed(value: (column: string) => number, armed: boolean): string {
   const row = controlLoop(value("state.mode"));
-  if (!armed || row === undefined) return "follows nothing";
+  if (!armed || row === undefined) return "follows no set-point";
   if (row.loop === "M") return "flies a moment, no loop";
   return `follows ${row.short.toLowerCase()} ${shownValue(value(`setpoint.${row.loop}`), row.unit)}`;
 }

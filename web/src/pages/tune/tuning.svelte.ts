@@ -35,8 +35,8 @@ export class Tuning {
   sending = $state(false);
   failure = $state("");
   loaded = $state(false);
-  /** Sent changes that can be undone. */
-  sent = $state.raw<readonly (readonly Change[])[]>([]);
+  /** Last change by the server's pages that can be undone: also after another page, or a reload. */
+  last = $state.raw<readonly Change[]>([]);
   readonly changes = $derived(differences(this.rows, this.edits));
   private previewed = $state("");
   /** Preview of the present edits; undefined while it is outdated. */
@@ -120,7 +120,6 @@ export class Tuning {
       const now = new Map(changed.map((one) => [one.name, one.value]));
       this.rows = this.rows.map((row) => ({ ...row, value: now.get(row.name) ?? row.value }));
       this.edits = new Map();
-      this.sent = [...this.sent, changed];
       toast(`Sent: ${changed.map((one) => one.name).join(", ")}`, "good");
       await this.refresh();
       return true;
@@ -134,18 +133,16 @@ export class Tuning {
   }
 
   async undo(): Promise<void> {
-    const last = this.sent.at(-1);
-    if (last === undefined) return;
+    const { last } = this;
+    if (last.length === 0) return;
     try {
       await undoChange(this.drone);
-      this.sent = this.sent.slice(0, -1);
       toast("The last change was taken back", "good");
       await this.refresh();
       this.askSoon();
     } catch (failure) {
       if (!(failure instanceof ApiError && failure.status === 409)) return void toastError(failure);
       // It can be looked at, and sent as any change can, once more confirmed where the model does not keep it stable.
-      this.sent = this.sent.slice(0, -1);
       this.take(last.map((one) => ({ ...one, before: one.value, value: one.before })));
       this.failure = `Not taken back: ${failure.what}. The values from before stand in the edits: look, then send.`;
     }
@@ -161,7 +158,9 @@ export class Tuning {
 
   private async refresh(): Promise<void> {
     try {
-      this.rows = await listParameters(this.drone);
+      const [rows, guard] = await Promise.all([listParameters(this.drone), guardOf(this.drone)]);
+      this.rows = rows;
+      this.last = guard.undo;
       this.failure = "";
     } catch (failure) {
       this.failure = messageOf(failure);
