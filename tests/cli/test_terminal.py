@@ -142,7 +142,16 @@ def test_replaced_remedies_stand_in_the_package() -> None:
     assert [call for call in IN_SHELL if not any(call in text for text in texts if text != own)] == []
 
 
-@pytest.mark.parametrize("command", [["--help"], ["key", "FILE"], ["diagram", "check", "stock-attitude", "--json"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["--help"],
+        ["--version"],
+        ["drones", "--timeout", "0.1"],
+        ["key", "FILE"],
+        ["diagram", "check", "stock-attitude", "--json"],
+    ],
+)
 def test_a_full_disk_behind_stdout_is_one_line(command: list[str], tmp_path: Path) -> None:
     arguments = [word.replace("FILE", str(tmp_path / "key")) for word in command]
     with Path("/dev/full").open("w") as full:
