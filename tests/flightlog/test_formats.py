@@ -167,9 +167,14 @@ WRONG: list[tuple[str, bytes | str, str]] = [
     (".csv", "time,q\n1\n", "is not a table of numbers: .*Expected 2 columns, got 1"),
     (".csv", "time,q\n1,nan\n", "wrong.csv: q: value is nan at sample 0"),
     (".csv", "time,q\n2,1\n1,1\n", "wrong.csv: q: time does not increase.*give two runs as two files"),
-    (".csv", "time;q\n0,0;1.234,5\n", "invalid value '1.234,5' .*no separators of thousands"),
+    (".csv", "time,mode,q\n0,AUTO,1\n1,AUTO,1.2.3\n", "invalid value '1.2.3'"),
+    (".csv", "time;q\n0,0;1.234,5\n", "invalid value '1.234,5' .*without separators of thousands"),
     (".csv", "time;q\n0.5;1,5\n", "time stamps in column 'time' are '0.5'"),
-    (".csv", "time;q\n31.01.2026 12:00;1\n", "'31.01.2026 12:00' .write seconds, or dates as 2026-01-31T"),
+    (
+        ".csv",
+        "time;q\n31.01.2026 12:00;1\n",
+        "'31.01.2026 12:00' .write seconds with one decimal mark, or dates as 2026-01-31T",
+    ),
     (".csv", "time [h],q\n0,1\n", "the time stamps are in 'h'"),
     (".csv", "0,1\n1,2\n", "write the names of the columns above the numbers"),
     (".csv", b"\xff\xfet", "not text in UTF-16"),
@@ -316,6 +321,13 @@ def test_tables_as_people_have_them_are_read(tmp_path: Path, text: str, encoding
     log = read_log(tmp_path / "a.csv")
     assert {name: one.value.tolist() for name, one in log.channels.items()} == {"u": [1.0, 2.0], "y": [-0.5, 1e-3]}
     assert log["y"].time.tolist() == [0.0, 0.02]
+
+
+def test_columns_of_words_are_passed_over_and_named(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,mode,u,by\n0,AUTO,1,me\n1,MANUAL,NA,you\n2,AUTO,3,me\n")
+    log = read_log(tmp_path / "a.csv")
+    assert ([*log], log["u"].time.tolist(), log["u"].value.tolist()) == (["u"], [0, 2], [1, 3])
+    assert log.provenance["ignored"] == ["mode (words)", "by (words)"]
 
 
 def test_units_below_the_heading_are_the_channels(tmp_path: Path) -> None:

@@ -47,6 +47,9 @@ _META = "twodof.flightlog"
 _VERSION = 1
 _NUMBER = re.compile(r"[-+]?[\d.,]*\d[-+\d.,:/TZeE ]*|nan|inf", re.IGNORECASE)
 """A number or a date in a cell of CSV."""
+_NO_NUMBER = re.compile(r"In CSV column #(?P<column>\d+): .*conversion error to double: invalid value '(?P<cell>.*)'")
+_MISSING = ("NA", "N/A", "#N/A", "null", "NULL", "None", "-")
+"""Cells without a number, as other programs write them."""
 _PER_SECOND = {
     **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "milliseconds"), 1e3),
@@ -112,18 +115,28 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
         data = data.replace(b"\r", b"\n")
     names, separator, start, meta = _heading(data, where)
     _check_names(names, where)
-    # As dictionaries: a name that is repeated is there once.
-    texts = dict.fromkeys(COLUMNS[:2], pa.dictionary(pa.int32(), pa.string())) if _is_long(names) else {}
-    # The type of time stamps is found, since they may be dates.
-    dates = [] if meta or _is_long(names) else [name for name in names if _is_time(name, time)]
+    if meta is not None or _is_long(names):
+        # As dictionaries: a name that is repeated is there once.
+        texts = dict.fromkeys(COLUMNS[:2], pa.dictionary(pa.int32(), pa.string())) if _is_long(names) else {}
+        table, words = _parsed(data, start, names, separator, texts, where), []
+    else:
+        stamps = [name for name in names if not period and _is_time(name, time)]
+        table, words = _without_words(data, start, names, separator, stamps, where)
+    return _log(table, meta, file, where, time, period, words)
+
+
+def _parsed(
+    data: bytes, start: int, names: list[str], separator: str, types: Mapping[str, pa.DataType | None], where: str
+) -> pa.Table:
+    """Return the rows from byte `start` on: float64, but for `types`, where None lets pyarrow find the type."""
     try:
-        table = pa_csv.read_csv(
+        return pa_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)[start:]),
             pa_csv.ReadOptions(column_names=names, use_threads=False),
             pa_csv.ParseOptions(delimiter=separator),
             pa_csv.ConvertOptions(
-                column_types={name: texts.get(name, pa.float64()) for name in names if name not in dates},
-                null_values=[""],
+                column_types={n: kind for n in names if (kind := types.get(n, pa.float64())) is not None},
+                null_values=["", *_MISSING],
                 strings_can_be_null=False,
                 decimal_point="," if separator != "," and data.find(b",", start) >= 0 else ".",
             ),
@@ -131,11 +144,31 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
     except (pa.ArrowException, UnicodeDecodeError) as reason:
         what = f"is not a table of numbers: {str(reason).partition(chr(10))[0]:.200}"
         remedy = (
-            "give a header line and below it numbers, no words and no separators of thousands: columns between commas, "
-            "or between semicolons or tabs, where a comma may be the decimal mark"
+            "give a header line and below it numbers, without separators of thousands: columns between commas, or "
+            "between semicolons or tabs, where a comma may be the decimal mark"
         )
         raise LogError(what, where, remedy) from reason
-    return _log(table, meta, file, where, time, period)
+
+
+def _without_words(
+    data: bytes, start: int, names: list[str], separator: str, stamps: list[str], where: str
+) -> tuple[pa.Table, list[str]]:
+    """Return the rows without columns of words, and the names of these. The columns `stamps` may hold dates."""
+    types: dict[str, pa.DataType | None] = {}
+    words: list[str] = []
+    while True:
+        try:
+            return _parsed(data, start, names, separator, types, where).drop_columns(words), words
+        except LogError as error:
+            found = _NO_NUMBER.search(error.what)
+            name = names[int(found["column"])] if found else ""
+            if found and name in stamps and name not in types:
+                types[name] = None
+            elif found and name not in types and found["cell"][:1].isalpha() and len(words) + 2 < len(names):
+                types[name] = pa.string()
+                words.append(name)
+            else:
+                raise
 
 
 def _heading(data: bytes, where: str) -> tuple[list[str], str, int, bytes | None]:
@@ -176,7 +209,15 @@ def _is_time(column: str, time: str) -> bool:
     return time in (column, _name_and_unit(column)[0])
 
 
-def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, time: str, period: str) -> FlightLog:
+def _log(
+    table: pa.Table,
+    meta: bytes | None,
+    file: dict[str, Any],
+    where: str,
+    time: str,
+    period: str,
+    words: Sequence[str] = (),
+) -> FlightLog:
     names = table.column_names
     described, kept = _described(meta, where)
     if _is_long(names):
@@ -196,7 +237,8 @@ def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, 
         if count != row["samples"]:
             what = f"truncated: {count} of {row['samples']} samples of {name!r} are there"
             raise LogError(what, where, "write it again")
-    return FlightLog(channels, {**kept, "file": file})
+    ignored = {"ignored": [f"{name} (words)" for name in words]} if words else {}
+    return FlightLog(channels, {**kept, **ignored, "file": file})
 
 
 def _described_table(log: FlightLog, wide: bool) -> tuple[pa.Table, str]:
@@ -344,7 +386,7 @@ def _times(table: pa.Table, stamp: str, where: str) -> NDArray[np.float64]:
     cells = table.column(stamp)
     kind = cells.type
     if pa.types.is_string(kind):
-        remedy = "write seconds, or dates as 2026-01-31T12:00:00.000"
+        remedy = "write seconds with one decimal mark, or dates as 2026-01-31T12:00:00.000"
         raise LogError(f"the time stamps in column {stamp!r:.80} are {cells[0].as_py()!r:.40}", where, remedy)
     if pa.types.is_temporal(kind) and not cells.null_count:
         exact = pa.time64("ns") if pa.types.is_time(kind) else pa.timestamp("ns", getattr(kind, "tz", None))
