@@ -115,10 +115,11 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
         data = data.replace(b"\r", b"\n")
     names, separator, start, meta = _heading(data, where)
     _check_names(names, where)
+    words: list[str] = []
     if meta is not None or _is_long(names):
         # As dictionaries: a name that is repeated is there once.
         texts = dict.fromkeys(COLUMNS[:2], pa.dictionary(pa.int32(), pa.string())) if _is_long(names) else {}
-        table, words = _parsed(data, start, names, separator, texts, where), []
+        table = _parsed(data, start, names, separator, texts, where)
     else:
         stamps = [name for name in names if not period and _is_time(name, time)]
         table, words = _without_words(data, start, names, separator, stamps, where)
