@@ -145,8 +145,16 @@ _BLOCKS: Mapping[str, tuple[tuple[Any, ...], ...]] = {
         ("drag", "SAFE_DRAG", 0.9, 0.0, 10.0, "1/s", "friction of the rail over the mass"),
         ("along_slack", "SAFE_ALONG_SLACK", 0.4, 0.1, 5.0, "m/s2", "acceleration along the rail left unexplained"),
         ("along_limit", "SAFE_ALONG_LIM", 0.15, 0.05, 2.0, "m/s", "unexplained speed along it: motors off"),
+        ("hit_slack", "SAFE_HIT_SLACK", 2.0, 0.5, 20.0, "m/s2", "acceleration along it left unexplained, of an impact"),
+        ("hit_limit", "SAFE_HIT_LIM", 0.08, 0.02, 2.0, "m/s", "unexplained speed along it of an impact: motors off"),
         ("up_slack", "SAFE_UP_SLACK", 0.8, 0.1, 5.0, "m/s2", "vertical acceleration left unexplained"),
         ("up_limit", "SAFE_UP_LIM", 0.3, 0.05, 2.0, "m/s", "unexplained vertical speed: motors off"),
+    ),
+    "failsafe.motion": (
+        ("band", "SAFE_MOTION_BAND", 2.0, 0.5, 10.0, "1/s", "slower motion is not compared with the range"),
+        ("slack", "SAFE_MOTION_SLK", 0.015, 0.005, 0.2, "m", "distance from the range left unexplained"),
+        ("share", "SAFE_MOTION_SHR", 0.3, 0.05, 1.0, "", "share of the expected motion left unexplained"),
+        ("limit", "SAFE_MOTION_LIM", 0.002, 0.0005, 0.1, "m*s", "unexplained distance, summed: it descends"),
     ),
     "failsafe.rate": (
         ("turn", "SAFE_TURN", 165.0, 10.0, 2000.0, "rad/s2", "angular acceleration of one pair at full"),

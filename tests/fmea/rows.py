@@ -159,7 +159,7 @@ def _range() -> Iterator[Row]:
     for size in (0.05, 0.1, 0.16, 0.2, 0.3):
         for sign in (1, -1):
             yield row(f"step of {sign * size:+g} m", number("dist", "step", sign * size))
-    for size in (0.03, 0.05, 0.2):
+    for size in (0.03, 0.05, 0.1, 0.2):
         for sign in (1, -1):
             yield row(f"drift of {sign * size:+g} m a second", number("dist", "drift", sign * size))
     yield row("saturated at 4 m", number("dist", "stuck", 4.0))
@@ -328,6 +328,40 @@ def _parameters() -> Iterator[Row]:
     yield row("filter: gyro noise thousandfold", estimator__filter__sigma_gyro=2.0)
 
 
+def _double() -> Iterator[Row]:
+    def row(text: str, faults: Mapping[str, Any], where: tuple[str, ...] = (HOLD, *SLIDING)) -> Row:
+        return Row("two at once", text, faults, where)
+
+    silent = flag("setpoint_new", "never") | number(("x0", "v0", "theta0", "thrust"), "frozen")
+    still = number("dist", "frozen with noise", 0.004)
+    for size in (0.09, -0.09, 0.07, -0.07):
+        yield row(f"set-points silent, range step of {size:+g} m", silent | number("dist", "step", size))
+    yield row(
+        "acc_x and range frozen with noise, flown", number("acc_x", "frozen with noise", 1.0) | still, (STEPS, VELOCITY)
+    )
+    yield row(
+        "acc_x and range frozen with noise, held", number("acc_x", "frozen with noise", 1.0) | still, (HOLD, POSITION)
+    )
+    yield row(
+        "acc_z and range frozen with noise, flown", number("acc_z", "frozen with noise", 2.5) | still, (STEPS, VELOCITY)
+    )
+    yield row("set-points silent, range drift of +0.1 m a second", silent | number("dist", "drift", 0.1))
+    yield row("set-points silent, range frozen with noise", silent | still)
+    yield row("voltage frozen, range step of +0.09 m", number("voltage", "frozen") | number("dist", "step", 0.09))
+    yield row("acc_x late by 60 ms, range step of -0.09 m", number("acc_x", "late", 60) | number("dist", "step", -0.09))
+    yield row("acc_x half, range frozen with noise, flown", number("acc_x", "scaled", 0.5) | still, (STEPS, VELOCITY))
+    yield row("gyro_y half, range step of +0.09 m", number("gyro_y", "scaled", 0.5) | number("dist", "step", 0.09))
+    yield row(
+        "range late by 100 ms, acc_x +0.5 m/s2",
+        number("dist", "late", 100) | flag("dist_new", "late", 25) | number("acc_x", "step", 0.5),
+    )
+    yield row(
+        "both pairs half gain, range frozen with noise, flown",
+        number(("fore", "aft"), "scaled", 0.5) | still,
+        (STEPS, VELOCITY),
+    )
+
+
 ROWS: tuple[Row, ...] = (
     *_healthy(),
     *_imu(),
@@ -341,5 +375,6 @@ ROWS: tuple[Row, ...] = (
     *_step(),
     *_own(),
     *_parameters(),
+    *_double(),
 )
 """All rows."""

@@ -91,6 +91,8 @@ def test_nor_does_a_healthy_controller_of_ones_own_notice_it(starters: tuple[str
 
 SUMS = {
     **dict.fromkeys(("force.forth", "force.back"), 0.15),
+    **dict.fromkeys(("force.hit_forth", "force.hit_back"), 0.08),
+    "motion.apart": 0.002,
     **dict.fromkeys(("force.up", "force.down"), 0.3),
     **dict.fromkeys(("rate.faster", "rate.slower"), 1.5),
 }

@@ -23,6 +23,8 @@ from twodof.sim.closed_loop import InitialState, closed_loop
 TICKS = SAMPLE[0]
 SUMS = {
     **dict.fromkeys(("force.forth", "force.back"), "force.along_limit"),
+    **dict.fromkeys(("force.hit_forth", "force.hit_back"), "force.hit_limit"),
+    "motion.apart": "motion.limit",
     **dict.fromkeys(("force.up", "force.down"), "force.up_limit"),
     **dict.fromkeys(("rate.faster", "rate.slower"), "rate.turn_limit"),
 }

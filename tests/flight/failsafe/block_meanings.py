@@ -18,6 +18,7 @@ from twodof.flight.failsafe.flags import (
     BatteryFlags,
     ForceConsistency,
     PlaceFlags,
+    RangeConsistency,
     RateConsistency,
     SensorFlags,
     SetPointFlags,
@@ -84,21 +85,62 @@ def summed(total: float, excess: float, limit: float) -> tuple[float, bool]:
 
 def force(r: Row) -> dict[str, Any]:
     pull = r["pull"] * r["last_thrust"] * r["sine"]
-    free, slack, limit = pull + r["drag"] * r["v"], r["along_slack"] + r["pull_share"] * abs(pull), r["along_limit"]
+    free, share, limit = pull + r["drag"] * r["v"], r["pull_share"] * abs(pull), r["along_limit"]
     if r["rings"]:
-        free, slack, limit = 0.0, r["along_slack"], 2.0 * r["along_limit"]
+        free, share, limit = 0.0, 0.0, 2.0 * r["along_limit"]
+    slack, hit_slack = r["along_slack"] + share, r["hit_slack"] * (1.0 + 2.0 * abs(r["sine"])) + share
     along = r["cosine"] * r["acc_x"] + r["sine"] * r["acc_z"] + free
     down = r["cosine"] * r["acc_z"] - r["sine"] * r["acc_x"] + 9.81
+    hit = 0.0 if r["rings"] else along
     sums = {
         "forth": summed(r["last_forth"], along - slack, limit),
         "back": summed(r["last_back"], -along - slack, limit),
+        "hit_forth": summed(r["last_hit_forth"], hit - hit_slack, r["hit_limit"]),
+        "hit_back": summed(r["last_hit_back"], -hit - hit_slack, r["hit_limit"]),
         "up": summed(r["last_up"], -down - r["up_slack"], r["up_limit"]),
         "down": summed(r["last_down"], down - r["up_slack"], r["up_limit"]),
     }
+    speed = r["last_speed"] - (pull + r["drag"] * r["last_speed"]) * 0.004
     return {
         "output.disagrees": any(reached for _, reached in sums.values()),
         **{f"{section}.{name}": total for section in ("output", "update") for name, (total, _) in sums.items()},
+        "output.speed": r["last_speed"],
+        "update.speed": speed if math.isfinite(speed) else 0.0,
         "update.thrust": 0.5 * (r["fore"] + r["aft"]),
+    }
+
+
+def motion(r: Row) -> dict[str, Any]:
+    taken, dist, gap_before = r["last_taken"], r["last_dist"], r["last_gap_before"]
+    if r["range_taken"]:
+        taken, dist, gap_before = r["last_place"], r["dist"], r["last_gap"]
+    place_1 = taken - r["last_low_1"]
+    expected = place_1 - r["last_low_2"]
+    dist_1 = dist - r["last_mean_1"]
+    dist_2 = dist_1 - r["last_mean_2"]
+    measured = dist_2 - r["last_mean_3"]
+    gap = measured - expected
+    lasting = min(abs(gap), abs(gap_before)) if gap * gap_before > 0.0 else 0.0
+    apart, reached = summed(r["last_apart"], lasting - r["slack"] - r["share"] * abs(expected), r["limit"])
+    watched = r["arm"] and not r["rings"]
+    new = {
+        "apart": apart,
+        "place": r["last_place"] + r["speed"] * 0.004 - r["per_band"] * r["last_place"],
+        "taken": taken,
+        "gap": gap if r["range_taken"] else r["last_gap"],
+        "gap_before": gap_before,
+        "low_1": r["last_low_1"] + r["per_band"] * place_1,
+        "low_2": r["last_low_2"] + r["per_band"] * expected,
+        "mean_1": r["last_mean_1"] + r["per_band"] * dist_1,
+        "mean_2": r["last_mean_2"] + r["per_band"] * dist_2,
+        "mean_3": r["last_mean_3"] + r["per_band"] * measured,
+    }
+    return {
+        "output.disagrees": reached and watched,
+        "output.apart": apart,
+        "update.dist": dist,
+        **{f"update.{name}": value if watched else 0.0 for name, value in new.items()},
+        **({} if watched else {"update.mean_1": dist}),
     }
 
 
@@ -297,6 +339,10 @@ MEANINGS = (
             **dict.fromkeys(("fore", "aft"), (0.0, 0.25, 1.0)),
             "rings": BOOLS,
             **dict.fromkeys(("last_forth", "last_back"), (0.0, 0.1, 0.125, below(0.125), 0.124, 0.25, 0.249, NAN)),
+            **dict.fromkeys(("last_hit_forth", "last_hit_back"), (0.0, 0.125, 0.125, 0.125, below(0.125), NAN)),
+            "last_speed": (0.0, 0.5, -0.25, NAN),
+            "hit_slack": (0.5,),
+            "hit_limit": (0.125,),
             **dict.fromkeys(("last_up", "last_down"), (0.0, 0.3, 0.375, below(0.375), 0.374, NAN)),
             "last_thrust": (0.0, 0.0, 0.5, 0.25),
             "pull": (12.0,),
@@ -309,6 +355,25 @@ MEANINGS = (
         },
         force,
         SUMMED,
+    ),
+    Meaning(
+        RangeConsistency(),
+        {
+            "speed": (0.0, 0.5, -0.25),
+            "dist": (0.0, 0.0, 0.25, -0.25, 1.0, NAN),
+            **dict.fromkeys(("range_taken", "arm", "rings"), BOOLS),
+            **dict.fromkeys(("last_place", "last_taken", "last_dist"), (0.0, 0.0, 0.25, -0.25)),
+            **dict.fromkeys(("last_gap", "last_gap_before"), (0.0, 0.0625, -0.0625, 0.25, -0.25, 1.0, -1.0, NAN)),
+            **dict.fromkeys(("last_low_1", "last_low_2"), (0.0, 0.0, 0.0625)),
+            **dict.fromkeys(("last_mean_1", "last_mean_2", "last_mean_3"), (0.0, 0.0, -0.125)),
+            "last_apart": (0.0, 0.05, 0.0625, below(0.0625), 0.0624, 0.06225, NAN),
+            "per_band": (0.25,),
+            "slack": (0.0625,),
+            "share": (0.25,),
+            "limit": (0.0625,),
+        },
+        motion,
+        {"lt: le": "a sum or magnitude of 0 is 0 in both branches; of two equals either is the smaller"},
     ),
     Meaning(
         RateConsistency(),

@@ -150,7 +150,7 @@ ALONE: dict[str, tuple[dict[str, Any], int, int]] = {
     "command_stuck": ({"fore": 0.4, "aft": 0.4}, 127, OFF),
     "command_lost": ({"T": NAN}, 2, OFF),
     "battery_low": ({"voltage": 11.0}, 250, NONE),
-    "force_disagrees": ({"acc_x": 8.0}, 5, OFF),
+    "force_disagrees": ({"acc_x": 8.0}, 4, OFF),
     "rate_disagrees": ({"gyro_y": 2.0}, 1, OFF),
 }
 """Cause -> what is wrong, from which tick of it on it acts (the first is 1), what it does.
@@ -171,8 +171,11 @@ def whole(position_filter: str, precision: str) -> Any:
     return build(core(position_filter=position_filter, failsafe=True), PERIOD, precision)
 
 
-def flown(steps: int, **changes: Any) -> dict[str, NDArray[Any]]:
-    """The failsafe over 1 s in which it arms and all is well, then `steps` with `changes`; what it did in these."""
+def flown(steps: int, motion_limit: float = 0.1, **changes: Any) -> dict[str, NDArray[Any]]:
+    """The failsafe over 1 s in which it arms and all is well, then `steps` with `changes`; what it did in these.
+
+    The cart of most changes jumps, which `motion_limit` allows.
+    """
     n = 250 + steps
     rng = np.random.default_rng(3)
     late = np.arange(n) >= 250
@@ -191,7 +194,9 @@ def flown(steps: int, **changes: Any) -> dict[str, NDArray[Any]]:
         before = inputs.get(name, 0.0 if name not in ("rings", "step_late") else False)
         inputs[name] = np.where(late, value, before)
     inputs["dist"] = inputs["dist"] + noise
-    out = program().machine().run(n, inputs)
+    machine = program().machine()
+    machine.set("motion.limit", motion_limit)
+    out = machine.run(n, inputs)
     assert (out["action"][20:250] == NONE).all()
     assert not out["reason"][20:250].any()
     return {name: column[250:] for name, column in out.items()}
@@ -216,6 +221,14 @@ def test_two_ranges_at_the_end_of_the_rail_stop_the_motors_wherever_the_estimate
     out = flown(10, x=0.33, dist=0.91)
     assert np.flatnonzero(out["action"] == OFF)[0] + 1 == 2
     assert out["reason"][-1] & BIT["rail_end"]
+
+
+def test_a_range_step_that_the_estimate_follows_is_seen() -> None:
+    out = flown(25, motion_limit=0.002, x=0.09, dist=0.59)
+    begun = np.flatnonzero(out["action"])
+    assert begun[0] + 1 <= 20
+    assert out["action"][begun[0]] == DESCEND
+    assert out["reason"][-1] == BIT["range_lost"]
 
 
 def test_each_cause_of_the_table_is_tried() -> None:

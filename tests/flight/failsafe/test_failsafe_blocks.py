@@ -17,7 +17,12 @@ pytestmark = pytest.mark.slow
 
 CASES, FIRST = 6_000, 500
 COMPILED_CASES = 4_000
-DERIVED = {"per_tick": ("descent", 0.1, 1.0 / 25.0), "per_answer": ("answer", 0.016, 0.25), "per_dt": ("", 0.0, 250.0)}
+DERIVED = {
+    "per_tick": ("descent", 0.1, 1.0 / 25.0),
+    "per_band": ("band", 7.8125, 7.8125 * 0.004),
+    "per_answer": ("answer", 0.016, 0.25),
+    "per_dt": ("", 0.0, 250.0),
+}
 """Derived parameter -> the one that it is made of, what that is set to, and what is made of it."""
 IDS = [type(meaning.block).__name__ for meaning in MEANINGS]
 

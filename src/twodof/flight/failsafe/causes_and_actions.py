@@ -39,7 +39,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("rail_near", BRAKE, "the cart is, or could only just be stopped, near the rail's end"),
     Cause("link_lost", DESCEND, "nothing came over the link for a while"),
     Cause("battery_critical", DESCEND, "the voltage is critical, or none that the pack can have"),
-    Cause("range_lost", DESCEND, "the cart is free and its range sensor silent, stuck or far from the estimate"),
+    Cause("range_lost", DESCEND, "the cart is free and its range silent, stuck or far from the motion expected"),
     Cause("imu_lost", OFF, "the IMU is silent or gives no number, or an axis of it repeats itself to the bit"),
     Cause("estimate_lost", OFF, "an estimate is no number, or beyond what the rig can do"),
     Cause("pitch_stop", OFF, "the pitch is at its stop"),

@@ -26,6 +26,7 @@ from twodof.flight.failsafe.flags import (
     ForceConsistency,
     OffDelay,
     PlaceFlags,
+    RangeConsistency,
     RateConsistency,
     SensorFlags,
     SetPointFlags,
@@ -204,6 +205,13 @@ def _flags(d: Diagram) -> None:
     turned = {"sine": "sine", "cosine": "cosine"}
     d.add("force", ForceConsistency(), inputs=turned | {name: name for name in ("acc_x", "acc_z", "v", "rings")})
     d.add("rate", RateConsistency(), gyro_y="gyro_y", sine="sine")
+    d.add(
+        "motion",
+        RangeConsistency(),
+        speed="force.speed",
+        range_taken="sensors.range_taken",
+        inputs={name: name for name in ("dist", "arm", "rings")},
+    )
     d.add("battery", BatteryFlags(), voltage="voltage")
     d.add("asked", SetPointFlags(), mode="mode", setpoint_new="setpoint_new", rings="rings", inputs=_SAME)
     d.add("in_time", Logic("not"), a="step_late")
@@ -222,7 +230,8 @@ def _timers(d: Diagram) -> None:
 def _machine(d: Diagram) -> None:
     d.add("imu_lost", Logic("or"), a="imu", b="axis")
     d.add("rail_end", Logic("or"), a="place.rail_end", b="sensors.range_end")
-    d.add("range_lost", Logic("or"), a="range", b="range_stuck")
+    d.add("range_silent", Logic("or"), a="range", b="range_stuck")
+    d.add("range_lost", Logic("or"), a="range_silent", b="motion.disagrees")
     d.add(
         "classes",
         RequestedActions(),

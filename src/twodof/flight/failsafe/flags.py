@@ -235,7 +235,7 @@ class StuckCommands(Block):
         return {"fore": u.fore, "aft": u.aft, "moves": moved | ~needed}
 
 
-FORCE_SUMS = ("forth", "back", "up", "down")
+FORCE_SUMS = ("forth", "back", "hit_forth", "hit_back", "up", "down")
 RATE_SUMS = ("faster", "slower")
 
 Sums = dict[str, tuple[Any, Any]]
@@ -273,32 +273,98 @@ class ForceConsistency(Block):
 
     The sums are unexplained speeds [m/s]. The slack along the rail is `along_slack` plus the share `pull_share` of the
     thrust's part, as a sagging battery pulls less. With the cart locked the limit is twice as high: the same pitch
-    error leaves twice as much, and the cart rattles in the play of the rings.
+    error leaves twice as much, and the cart rattles in the play of the rings. A second pair of sums, of more slack and
+    a lower limit, sees the few samples of an impact on an end of the rail; it is for a free cart only.
+
+    `speed` is the speed that pull and drag alone give the cart.
     """
 
     inputs = ports("acc_x", "acc_z", "sine", "cosine", "v", "fore", "aft", "rings")
-    outputs = (Port("disagrees", "bool"), *(Port(name, unit="m/s") for name in FORCE_SUMS))
-    states = (*(State(name, unit="m/s") for name in FORCE_SUMS), State("thrust"))
+    outputs = (Port("disagrees", "bool"), *(Port(name, unit="m/s") for name in (*FORCE_SUMS, "speed")))
+    states = (*(State(name, unit="m/s") for name in (*FORCE_SUMS, "speed")), State("thrust"))
     params = tunables("failsafe.force")
 
     def _sums(self, u: Any, x: Any, p: Any, t: Any) -> Sums:
         pull = p.pull * x.thrust * u.sine
         along = u.cosine * u.acc_x + u.sine * u.acc_z + where(u.rings, 0.0, pull + p.drag * u.v)
         down = u.cosine * u.acc_z - u.sine * u.acc_x + GRAVITY
-        slack = p.along_slack + where(u.rings, 0.0, p.pull_share * abs(pull))
+        share = where(u.rings, 0.0, p.pull_share * abs(pull))
+        slack = p.along_slack + share
+        # Rotors shake the vertical axis more: by the tilt that is felt along the rail.
+        hit_slack = p.hit_slack * (1.0 + 2.0 * abs(u.sine)) + share
         limit = where(u.rings, 2.0 * p.along_limit, p.along_limit)
+        free = where(u.rings, 0.0, along)
         return {
             "forth": cumulative_sum(x.forth, along - slack, limit, t.dt),
             "back": cumulative_sum(x.back, -along - slack, limit, t.dt),
+            "hit_forth": cumulative_sum(x.hit_forth, free - hit_slack, p.hit_limit, t.dt),
+            "hit_back": cumulative_sum(x.hit_back, -free - hit_slack, p.hit_limit, t.dt),
             "up": cumulative_sum(x.up, -down - p.up_slack, p.up_limit, t.dt),
             "down": cumulative_sum(x.down, down - p.up_slack, p.up_limit, t.dt),
         }
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return _told(self._sums(u, x, p, t))
+        return _told(self._sums(u, x, p, t)) | {"speed": x.speed}
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return _totals(self._sums(u, x, p, t)) | {"thrust": 0.5 * (u.fore + u.aft)}
+        speed = x.speed - (p.pull * x.thrust * u.sine + p.drag * x.speed) * t.dt
+        return _totals(self._sums(u, x, p, t)) | {
+            "speed": where(finite(speed), speed, 0.0),
+            "thrust": 0.5 * (u.fore + u.aft),
+        }
+
+
+class RangeConsistency(Block):
+    """Check of the measured range against the motion that pitch and thrust cause.
+
+    `speed` is that motion, made without the accelerometer. It is integrated to a place, which is taken when a range
+    sample is believed (`range_taken`), so that both have the same delay. Place and range pass the same high-pass,
+    (s / (s + `band`))^3, as the start, a tilted rail and the trim are unknown. Their distance at two samples in a row,
+    the smaller one, less `slack` and the share `share` of the expected motion, is summed up to `limit`: the range has
+    stepped, or stays where the cart moves. Nothing is summed while disarmed, or with the cart locked.
+    """
+
+    inputs = (Port("speed", unit="m/s"), *ports("dist"), Port("range_taken", "bool"), *ports("arm", "rings"))
+    outputs = (Port("disagrees", "bool"), Port("apart", unit="m*s"))
+    states = (
+        State("apart", unit="m*s"),
+        *(State(name, unit="m") for name in ("place", "taken", "dist", "gap", "gap_before")),
+        *(State(name, unit="m") for name in ("low_1", "low_2", "mean_1", "mean_2", "mean_3")),
+    )
+    derived = (Port("per_band"),)
+    params = tunables("failsafe.motion")
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return p.band * t.dt
+
+    def _signals(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        def sampled(new: Any, held: Any) -> Any:
+            return where(u.range_taken, new, held)
+
+        taken, dist = sampled(x.place, x.taken), sampled(u.dist, x.dist)
+        # Each stage of the high-pass; the place's first one is in its integration.
+        stages = {"low_1": taken - x.low_1, "mean_1": dist - x.mean_1}
+        stages |= {"low_2": stages["low_1"] - x.low_2, "mean_2": stages["mean_1"] - x.mean_2}
+        stages |= {"mean_3": stages["mean_2"] - x.mean_3}
+        expected = stages["low_2"]
+        gap = stages["mean_3"] - expected
+        before = sampled(x.gap, x.gap_before)
+        lasting = where(gap * before > 0.0, minimum(abs(gap), abs(before)), 0.0)  # a single wrong sample does not last
+        excess = lasting - p.slack - p.share * abs(expected)
+        held = {"taken": taken, "dist": dist, "gap": sampled(gap, x.gap), "gap_before": before}
+        return held, stages, cumulative_sum(x.apart, excess, p.limit, t.dt)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        *_, (apart, reached) = self._signals(u, x, p, t)
+        return {"disagrees": reached & u.arm & ~u.rings, "apart": apart}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        held, stages, (apart, _) = self._signals(u, x, p, t)
+        dist = held.pop("dist")
+        new = held | {name: x[name] + p.per_band * high for name, high in stages.items()}
+        new |= {"apart": apart, "place": x.place + u.speed * t.dt - p.per_band * x.place}
+        start = dict.fromkeys(new, 0.0) | {"mean_1": dist}
+        return {"dist": dist} | {name: where(u.arm & ~u.rings, value, start[name]) for name, value in new.items()}
 
 
 class RateConsistency(Block):
