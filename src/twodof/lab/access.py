@@ -43,8 +43,8 @@ API = "/api/"
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 MOST_BODY = 256 << 10
 """Default of the largest body of a request [byte]."""
-MOST_KEYS = 256
-"""Most members of an object in a request's JSON: each unknown one takes .1 ms."""
+MOST_KEYS, MOST_ITEMS = 256, 20_000
+"""Most members of an object and of an array in a request's JSON: each wrong one takes .1 ms."""
 STOP = "/kill"
 """End of the path of the request that stops motors, which waits for no turn."""
 MOST_DISCARDED, DISCARD_S = 64 << 20, 5.0
@@ -122,16 +122,17 @@ def takes(most: int) -> Any:
 
 class _BoundedRequest(Request):
     async def json(self) -> Any:
-        """Return the body's JSON. Raises Refused for an object with too many members, ValueError."""
+        """Return the body's JSON. Raises Refused for too many members, ValueError."""
         found = from_json(await self.body())
         waiting = [found]
         while waiting:
             one = waiting.pop()
-            if isinstance(one, dict) and len(one) > MOST_KEYS:
-                raise Refused(413, f"an object has more than {MOST_KEYS} members", "send fewer")
-            if isinstance(one, dict | list):
-                inner = one.values() if isinstance(one, dict) else one
-                waiting += [each for each in inner if isinstance(each, dict | list)]
+            if not isinstance(one, dict | list):
+                continue
+            most = MOST_KEYS if isinstance(one, dict) else MOST_ITEMS
+            if len(one) > most:
+                raise Refused(413, f"an object or array has more than {most} members", "send fewer")
+            waiting += one.values() if isinstance(one, dict) else one
         return found
 
 
