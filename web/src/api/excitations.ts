@@ -1,4 +1,4 @@
-import { get, send } from "./client";
+import { get, request } from "./client";
 import type { Excitation, Loop } from "./drones";
 
 export interface Preset {
@@ -49,4 +49,7 @@ export interface PreviewAsked {
 }
 
 export const listPresets = () => get<Preset[]>("excitations");
-export const previewExcitation = (asked: PreviewAsked) => send<ExcitationPreview>("POST", "excitations/preview", asked);
+/** A prediction takes up to 30 s on a slow computer, behind others that wait. */
+export async function previewExcitation(asked: PreviewAsked): Promise<ExcitationPreview> {
+  return (await (await request("POST", "excitations/preview", asked, 60)).json()) as ExcitationPreview;
+}
