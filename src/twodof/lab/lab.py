@@ -18,6 +18,7 @@ from twodof.experiment.prediction import predicted
 from twodof.flight.gains import DEFAULT
 from twodof.lab.access import Role
 from twodof.lab.drones.lab_drone import LabDrones
+from twodof.lab.excitation_work import drawn
 from twodof.lab.folders import LogShelf, NamedFiles
 from twodof.lab.models import ModelFolder, TuningGuard
 from twodof.lab.processes import MOST_WAITING, Jobs, Workbench
@@ -72,6 +73,7 @@ class Lab:
     async def _warm_up(self) -> None:
         with suppress(TwodofError):  # a preview then says why
             played = Doublet(0.1, 1.0, unit="rad").to_dict()
+            await self.log_bench.do(drawn, played, 2, seconds=WARM_UP_S)
             await self.workbench.do(predicted, played, "theta", "lab", HOVER, 0.0, False, DEFAULT, seconds=WARM_UP_S)
 
     async def is_warm(self) -> bool:
