@@ -44,6 +44,7 @@ TIME_COLUMN = "time"
 MAX_COLUMNS = 1000
 
 _META = "twodof.flightlog"
+_MARK = f"# {_META} ".encode()
 _VERSION = 1
 _NUMBER = re.compile(r"[-+]?[\d.,]*\d[-+\d.,:/TZeE ]*|nan|inf", re.IGNORECASE)
 """A number or a date in a cell of CSV."""
@@ -177,14 +178,15 @@ def _heading(data: bytes, where: str) -> tuple[list[str], str, int, bytes | None
 
     Comments (# or %), empty lines and Excel's `sep=;` may stand above the names, a line of units below them.
     """
-    end, line, separator, meta = 0, "", "", None
-    while end < len(data) and (not line or line[0] in "#%" or line.startswith("sep=")):
+    end, row, separator, meta = 0, b"", "", None
+    while end < len(data) and (not row or row[:1] in b"#%" or row.startswith(b"sep=")):
         at, end = end, data.find(b"\n", end) + 1 or len(data)
-        line = data[at:end].decode("utf-8", "replace").strip()
-        if line.startswith(f"# {_META} "):
+        row = data[at:end].strip()
+        if row.startswith(b"sep="):
+            separator = row[4:].decode("ascii", "replace") or "\t"
+        elif row.startswith(_MARK):
             meta = data[at + len(_META) + 3 : end]
-        if line.startswith("sep="):
-            separator = line[4:] or "\t"
+    line = row.decode("utf-8", "replace")
     if meta is not None and not data.endswith(b"\n"):
         raise LogError("truncated: the last line has no end", where, "write it again")
     separator = separator if separator and separator in SEPARATORS else separator_of(line)
