@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 
 from tests.web.conftest import OpenPage, picture
 from tests.web.lab_server import LabServer
-from tests.web.pilot import armed, flies_to, flying, press, reaches
+from tests.web.pilot import armed, flies_to, flown, flying, press, reaches
 from twodof.flightlog.files import read_log
 from twodof.gcs import Drone
 
@@ -138,6 +138,8 @@ def test_an_offline_stop_is_sent_when_the_link_is_back(lab_server: LabServer, op
 def test_what_the_failsafe_flies_is_no_flown_step(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     armed(page)
+    flown(page, press(page, "0"), lambda: lab_server.state["mode"] == "offboard")  # the first one starts the loop
+    page.wait_for_timeout(500)
     number = page.get_by_label("Pitch θ, number")
     number.fill("15")  # with the cart free it runs to the rail's end, where the failsafe brakes it
     number.press("Enter")

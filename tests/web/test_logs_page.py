@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 
 from tests.lab.served import COMMAND, WATCH, Served, served
 from tests.patience import patiently
-from tests.web.conftest import OpenPage, readable
+from tests.web.conftest import OpenPage, picture, readable
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
@@ -181,6 +181,17 @@ def test_a_damaged_log_can_be_deleted(logs_server: Served, flights: Path, open_p
     page.get_by_role("button", name="Delete", exact=True).click()
     expect(page.get_by_text(f"{damaged.name} is deleted")).to_be_visible()
     assert not damaged.exists()
+
+
+def test_a_cut_flight_is_recovered_where_it_is_opened(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
+    whole = (flights / "flights" / FIRST).read_bytes()
+    (flights / "flights" / "cut.mcap").write_bytes(whole[: 2 * len(whole) // 3])
+    page = open_page(link(logs_server, "/cut.mcap"))
+    page.get_by_role("button", name="Recover what can be read").click()
+    opened(page)
+    expect(page.get_by_label("Messages")).to_contain_text("samples are recovered")
+    assert "cut.recovered.mcap" in page.url
+    picture(page, "log-recovered")
 
 
 def test_a_watcher_changes_nothing(logs_server: Served, open_page: OpenPage) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 from collections import OrderedDict
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +20,7 @@ from twodof.flightlog.contents import excitations
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog, decimate, log_of_rows
 from twodof.flightlog.provenance import versions
+from twodof.flightlog.recovery import recover
 from twodof.flightlog.ulog_file import write_ulg
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view
@@ -33,9 +35,16 @@ _KEPT: OrderedDict[tuple[str, int, int], FlightLog] = OrderedDict()
 
 def named_log(path: str) -> FlightLog:
     """Read the log in a file. Raises LogError, which names the file but not the server's folder."""
+    with _named(path):
+        return read_log(path)
+
+
+@contextmanager
+def _named(path: str) -> Iterator[None]:
+    """Raise a LogError of the block again with the file's name in place of its path."""
     name = Path(path).name
     try:
-        return read_log(path)
+        yield
     except LogError as reason:
         said = (text.replace(path, name) for text in (reason.what, reason.where, reason.remedy))
         raise LogError(*said) from reason
@@ -218,6 +227,14 @@ def converted(path: str, target: str) -> dict[str, Any]:
         return {"left_out": list(write_ulg(log, target))}
     write_log(log, target)
     return {"left_out": []}
+
+
+def recovered(path: str, target: str) -> dict[str, Any]:
+    """Write the sound parts of a damaged recording into a new file. Raises LogError if nothing of it can be read."""
+    with _named(path):
+        found = recover(path)
+    found.write(target)
+    return {"samples": found.samples, "what": list(found.what)}
 
 
 def _overlaps(log: FlightLog, window: tuple[float, float]) -> bool:

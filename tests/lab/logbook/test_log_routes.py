@@ -297,6 +297,22 @@ def test_what_cannot_be_read_says_so_and_harms_no_other(server: Served) -> None:
         assert server.ask("GET", f"/api/logs/a.mcap/view?{query}").status == 422
 
 
+def test_a_cut_recording_is_recovered_as_a_new_log(server: Served) -> None:
+    whole = next(server.folder.glob("flights/*.mcap")).read_bytes()
+    cut = server.folder / "flights" / "cut.mcap"
+    cut.write_bytes(whole[:-100])
+    assert server.ask("GET", "/api/logs/cut.mcap").json["unreadable"]
+    told = server.ask("POST", "/api/logs/cut.mcap/recover").json
+    assert told.get("name") == "cut.recovered.mcap", told
+    assert told["samples"] > 100
+    assert told["what"]
+    assert server.ask("GET", f"/api/logs/{told['name']}").json["unreadable"] == ""
+    cut.write_bytes(b"nothing")
+    assert server.ask("POST", "/api/logs/cut.mcap/recover").status == 422
+    (server.folder / "flights" / told["name"]).unlink()
+    cut.unlink()
+
+
 def test_a_log_of_others_is_shown_too(server: Served) -> None:
     """No channel of ours in it: the first ones that it has."""
     time = np.arange(1000) * 0.01

@@ -121,6 +121,9 @@ export type Format = "mcap" | "mat" | "parquet" | "csv" | "ulg";
 const FILE_S = 180;
 const of = (name: string): string => `logs/${encodeURIComponent(name)}`;
 
+/** Make a new log of the sound parts of a damaged one. */
+export const recoverLog = (name: string): Promise<{ name: string; samples: number; what: string[] }> =>
+  send("POST", `${of(name)}/recover`);
 export const listLogs = (): Promise<LogList> => get("logs");
 export const logFacts = (name: string): Promise<LogFacts | (Unreadable & LogKept)> => get(of(name));
 export const logSummary = (name: string): Promise<LogSummary | Unreadable> => get(`${of(name)}/summary`);

@@ -170,6 +170,20 @@ async def restore(lab: CurrentLab, entry: Annotated[str, Path(max_length=300)]) 
     return {"name": lab.logs.trash.restore(entry)}
 
 
+@router.post("/{name}/recover")
+async def recover(lab: CurrentLab, name: Name) -> dict[str, Any]:
+    """Recover the sound parts of a recording that was cut off, as a new log; return its name, and the damage."""
+    path = lab.logs.ours(name)
+    if path.name in lab.drones.recordings:
+        raise Rejected("the log is being recorded", path.name, "disarm the drone first")
+    made = lab.logs.scratch() / f"{secrets.token_hex(8)}.mcap"
+    try:
+        told = await _work(lab, log_work.recovered, str(path), str(made), seconds=CONVERT_S)
+        return {**told, "name": lab.logs.take_in(made, f"{path.stem}.recovered.mcap")}
+    finally:
+        made.unlink(missing_ok=True)
+
+
 @router.delete("/{name}")
 async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Delete a log; for some days `restore` brings it back."""

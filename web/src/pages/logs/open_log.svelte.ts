@@ -24,6 +24,8 @@ export class OpenLog {
   steps = $state.raw<{ steps: readonly LoggedStep[]; unclear: string }>({ steps: [], unclear: "" });
   replay = $state.raw<Replay | undefined>();
   failure = $state<unknown>(undefined);
+  /** It cannot be read, and is not just being recorded. */
+  damaged = $state(false);
   /** Of the server's own folder, so that it may be deleted. */
   ours = $state(false);
   formats = $state.raw<readonly Format[]>([]);
@@ -47,6 +49,7 @@ export class OpenLog {
       this.ours = facts.ours;
       this.formats = facts.formats;
       if (!("span" in facts)) {
+        this.damaged = facts.formats.length > 0;
         this.failure = new Error(`${this.name} cannot be read: ${facts.unreadable}`);
         return;
       }

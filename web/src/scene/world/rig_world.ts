@@ -14,6 +14,10 @@ import { box, rodX } from "./shapes";
 const NEAR = 0.12;
 /** A nearer ghost is hidden [m]. */
 const APART = 0.004;
+/** Smallest change that is drawn [m or rad]: a third of a pixel, and more than the noise of a drone at rest. */
+const SEEN = 0.002;
+/** The same of a motor's command. */
+const SEEN_COMMAND = 0.02;
 /**
  * A processor that draws in place of a graphics card holds up the whole page while it does. It then draws at most each
  * SOFTWARE_WAIT [ms], and waits SHARE times as long as it has held the page up: charts and controls come first.
@@ -41,6 +45,9 @@ export class RigWorld {
   private readonly sky = new HemisphereLight(0xffffff, 0x777777, 1.4);
   private readonly ends = new AbortController();
   private readonly software: boolean;
+  /** What was drawn last. */
+  private places: readonly (number | undefined)[] = [];
+  private commands: readonly number[] = [];
   private last = -Infinity;
   private wait = SOFTWARE_WAIT;
   private readonly draw = (): void => {
@@ -104,6 +111,11 @@ export class RigWorld {
 
   show(pose: Pose, ghost: Place | undefined, wanted: Wanted): void {
     const { x, theta } = pose;
+    const places = [x, theta, ghost?.x, ghost?.theta, wanted.x, wanted.theta, pose.rings ? 1 : 0];
+    const commands = [pose.fore, pose.aft];
+    const turning = !this.still && commands.some((one) => one > 0.01);
+    if (!turning && !moved(places, this.places, SEEN) && !moved(commands, this.commands, SEEN_COMMAND)) return;
+    [this.places, this.commands] = [places, commands];
     this.slide.position.x = x;
     this.drone.group.rotation.z = theta;
     this.drone.thrust(pose.fore, pose.aft, !this.still);
@@ -145,6 +157,10 @@ export class RigWorld {
     this.key.intensity = this.materials.dark ? 1.9 : 2.1;
     this.ask();
   }
+}
+
+function moved(now: readonly (number | undefined)[], before: readonly (number | undefined)[], by: number): boolean {
+  return now.some((one, k) => !(one === before[k] || Math.abs(one! - before[k]!) < by));
 }
 
 function drawnBySoftware(): boolean {

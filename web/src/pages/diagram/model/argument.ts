@@ -22,6 +22,18 @@ export function readArgument(text: string, value: Json, given: Json = value): { 
   return { refused: `${asked}${nothing ? ", or none" : ""}.` };
 }
 
+/** Most digits that a person types; a number with more was computed. */
+const TYPED_DIGITS = 7;
+
+/** Write a number as it was typed, and a computed one with three digits. */
+export function brief(one: Num): string {
+  const digits = one.text
+    .replace(/[eE].*/, "")
+    .replace(/\D/g, "")
+    .replace(/^0+|0+$/g, "");
+  return digits.length <= TYPED_DIGITS ? one.text : String(Number(one.value.toPrecision(3)));
+}
+
 function isWhole(json: Json): boolean {
   if (isList(json)) return json.every(isWhole);
   return !(json instanceof Num) || !/[.eE]/.test(json.text);
