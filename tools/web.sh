@@ -26,7 +26,7 @@ if ! node_is_there >/dev/null 2>&1; then
     fi
 fi
 # Two that begin at once, such as the tests of two processes, install once.
-exec 9>"${TMPDIR:-/tmp}/twodof-web-$(pwd | sha256sum | head -c 16).lock"
+exec 9<package-lock.json
 flock -w 900 9
 if ! cmp -s package-lock.json node_modules/installed-lock.json; then
     echo "web: installing the packages of web/package-lock.json"

@@ -51,6 +51,16 @@ def test_a_mistake_is_told_and_nothing_is_written(
     assert not out.exists()
 
 
+@pytest.mark.parametrize("command", [["px4", "export"], ["flash", "--to", "px4-dir", "--out"]])
+def test_a_name_too_long_is_one_error(command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = str(tmp_path / ("a" * 300))
+    arguments = [*command, "pid-attitude", folder] if command[0] == "px4" else [*command, folder, "pid-attitude"]
+    assert run(arguments) != 0
+    said = capsys.readouterr().err
+    assert said.startswith("error: the file system refuses: File name too long")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_with_something_else_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine").write_text("mine")
     assert run(["px4", "export", "pid-attitude", str(tmp_path), "--force", "--json"]) == 2

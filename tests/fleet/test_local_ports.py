@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import socket
 from contextlib import ExitStack, closing
@@ -13,6 +14,7 @@ from tests.fleet.drone_numbers import free_numbers
 from twodof.cli.app import run
 from twodof.errors import LinkError
 from twodof.fleet.local_drone import port_owner, with_port_owner
+from twodof.fleet.local_fleet import LocalPage
 from twodof.link.transport.url import Ports
 
 
@@ -58,3 +60,18 @@ def test_another_error_stays_as_it_is() -> None:
     error = LinkError("nobody answered", "tcp://127.0.0.1:5790", "start it")
     assert with_port_owner(error) is error
     assert with_port_owner(LinkError("is in use", "no url")).remedy == ""
+
+
+def test_a_server_that_dies_repeats_no_token() -> None:
+    said: list[str] = []
+
+    async def serve() -> None:
+        environment = {"TWODOF_LAB_COMMAND_TOKEN": "the-secret"}
+        async with LocalPage([], 0, ["--the-secret"], environment, said.append) as page:
+            assert not await page.listens()
+
+    asyncio.run(serve())
+    (line,) = said
+    assert line.startswith("there is no page")
+    assert "the-secret" not in line
+    assert "..." in line

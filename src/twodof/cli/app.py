@@ -143,7 +143,14 @@ def _run(arguments: Sequence[str]) -> int:
         with warnings.catch_warnings():
             warnings.showwarning = show_warning
             app(args=list(arguments), prog_name="twodof")
-    except TwodofError as error:
+    except (TwodofError, OSError) as found:
+        if isinstance(found, TwodofError):
+            error = found
+        elif found.filename is None:
+            raise
+        else:  # a name that is too long, a folder that is no folder, a full disk, ...
+            what, remedy = f"the file system refuses: {found.strerror}", "choose another name or folder"
+            error = TwodofError(what, str(found.filename), remedy)
         print_error(error)
         if "--json" in arguments:
             said = {"what": error.what, "where": error.where, "remedy": remedy_in_shell(error.remedy)}

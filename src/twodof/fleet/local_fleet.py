@@ -223,7 +223,7 @@ class LocalPage:
         self._child = ChildProcess(
             "the page's server", arguments, f"http://127.0.0.1:{port}", None, environment, NICENESS
         )
-        self._tell = tell
+        self._tell_all, self._secrets = tell, [secret for secret in environment.values() if secret]
         self._keeping: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
@@ -235,6 +235,12 @@ class LocalPage:
             self._keeping.cancel()
             await asyncio.gather(self._keeping, return_exceptions=True)
         await self._child.end()
+
+    def _tell(self, line: str) -> None:
+        """Report a line without the tokens that the server printed in its links."""
+        for secret in self._secrets:
+            line = line.replace(secret, "...")
+        self._tell_all(line)
 
     async def listens(self) -> bool:
         """Wait until the server listens, fails or takes too long. Return True if it listens."""

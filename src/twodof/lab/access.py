@@ -3,7 +3,8 @@
 `Gate` looks at every request before its route is found: host, origin, token. `LabRoute` looks at it before its body is
 read: role and size. A route says in `dependencies` whether clients that only watch may call it, and its largest body.
 
-A page of another site can have its reader's browser send requests to this computer. It cannot forge `Origin`. With a
+A page of another site can have its reader's browser send requests to this computer. It cannot forge `Origin`, nor
+`Sec-Fetch-Site`, which comes with a GET too; a link to the page opens it, but the API does not answer it. With a
 name of its own that points to this computer (DNS rebinding) it would be its own origin; it cannot forge `Host`.
 """
 
@@ -41,6 +42,8 @@ from twodof.lab.turns import Pace
 
 API = "/api/"
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+OWN_SITE = frozenset({"same-origin", "none"})
+"""`Sec-Fetch-Site` of requests to the API that the page or a person's typing makes; programs send none."""
 MOST_BODY = 256 << 10
 """Default of the largest body of a request [byte]."""
 MOST_KEYS, MOST_ITEMS = 256, 20_000
@@ -240,6 +243,8 @@ class Gate:
             return Refused(403, "the request comes from a page of another site", "use the server's own page")
         if not scope["path"].startswith(API):
             return None  # the page itself is the same for everybody, and holds nothing
+        if connection.headers.get("sec-fetch-site", "none") not in OWN_SITE:
+            return Refused(403, "the request comes from a page of another site", "use the server's own page")
         role = role_of(token_of(connection), self._settings)
         if role is None:
             what = "the token is missing or is not one of this server's"

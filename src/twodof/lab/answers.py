@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import re
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from types import MappingProxyType
@@ -75,7 +77,8 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """Finite number; a truth value or a text is refused."""
 
 
-REFUSED, NOT_THERE, MALFORMED, TOO_LATE = 409, 404, 422, 504
+REFUSED, NOT_THERE, MALFORMED, TOO_LATE, DISK_FULL = 409, 404, 422, 504, 507
+_FOLDERS = re.compile(r"(?<![\w:/.~])/(?!api/)(?=\S)(?:[^/\n:]*/)+")
 _MOST_MISTAKES = 3
 _STATUS: Mapping[type[TwodofError], int] = MappingProxyType(
     {
@@ -106,6 +109,7 @@ DESCRIPTIONS: Mapping[int, str] = MappingProxyType(
         421: "The request is for another host.",
         422: "The request could never work: it is malformed, or beyond its bounds.",
         504: "The drone did not answer in time, or is lost.",
+        507: "The disk of the server is full.",
     }
 )
 
@@ -131,10 +135,31 @@ class Refusal(BaseModel):
 
 
 def status_of(error: TwodofError) -> int:
-    """Return the HTTP status: 404 not there, 409 refused, 504 too late, 422 for a request that can never work."""
+    """Return the HTTP status: 404 not there, 409 refused, 504 too late, 507 disk full, 422 can never work."""
     if isinstance(error, NotThere):
         return NOT_THERE
+    if disk_is_full(error):
+        return DISK_FULL
     return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), MALFORMED)
+
+
+def disk_is_full(error: BaseException | None) -> bool:
+    """Return True if a full disk is the cause of an error."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__
+    return False
+
+
+def without_folders(text: str) -> str:
+    """Return a text with the names of files only, where it has absolute paths: they are the server's own affair."""
+    return _FOLDERS.sub("", text)
+
+
+def refusal_of(error: TwodofError) -> dict[str, str]:
+    """Return the fields of the Refusal that tells a client of an error."""
+    return {key: without_folders(str(getattr(error, key))) for key in ("what", "where", "remedy")}
 
 
 def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
@@ -150,7 +175,14 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(TwodofError)
     async def ours(_: Request, error: TwodofError) -> Response:
-        return FiniteJSON({"what": error.what, "where": error.where, "remedy": error.remedy}, status_of(error))
+        return FiniteJSON(refusal_of(error), status_of(error))
+
+    @app.exception_handler(OSError)
+    async def disk(request: Request, error: OSError) -> Response:
+        if not disk_is_full(error):
+            raise error
+        said = {"what": "the disk is full", "where": request.url.path[:200], "remedy": "make room, then try again"}
+        return FiniteJSON(said, DISK_FULL)
 
     @app.exception_handler(RequestValidationError)
     async def malformed(_: Request, error: RequestValidationError) -> Response:

@@ -25,7 +25,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 
 from twodof.errors import DiagramError, Rejected, Timeout, TwodofError
 from twodof.lab.access import CLIENT, LabClient, Role
-from twodof.lab.answers import NotThere, dumps
+from twodof.lab.answers import NotThere, dumps, refusal_of
 from twodof.lab.turns import Turns
 
 WARM = ("twodof.lab.diagram_work", "twodof.lab.flights", "twodof.lab.log_work", "scipy.linalg", "scipy.optimize")
@@ -376,7 +376,7 @@ class Jobs:
             await run(job)
             job.fraction, job.text = 1.0, ""
         except TwodofError as error:
-            job.error, job.state = {"what": error.what, "where": error.where, "remedy": error.remedy}, "failed"
+            job.error, job.state = refusal_of(error), "failed"
         except asyncio.CancelledError:
             if not job.over:
                 job.state, job.text = "cancelled", ""

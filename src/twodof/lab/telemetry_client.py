@@ -12,7 +12,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from twodof.errors import LogError, TwodofError, listed, nearest
 from twodof.lab.access import LabClient
-from twodof.lab.answers import RequestBody, dumps
+from twodof.lab.answers import RequestBody, dumps, refusal_of
 from twodof.lab.drones.telemetry_source import until_one_ends
 from twodof.lab.lab import Lab
 from twodof.lab.telemetry_rows import COLUMNS, FeedKey, Outbox, StreamState, header
@@ -175,8 +175,7 @@ class TelemetryClient:
             try:
                 self._do(asked)
             except TwodofError as error:
-                said = {"what": error.what, "where": error.where, "remedy": error.remedy}
-                self._say({"event": "refused", "id": asked.id, **said})
+                self._say({"event": "refused", "id": asked.id, **refusal_of(error)})
 
     def _do(self, asked: Subscribe | Unsubscribe) -> None:
         self._end(asked.id)

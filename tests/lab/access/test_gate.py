@@ -104,6 +104,17 @@ def test_a_name_that_somebody_lets_point_here_is_not_ours(server: Served, host: 
     assert (server.ask("GET", "/", None, headers).status == 421) == (status == 421)  # the page too
 
 
+@pytest.mark.parametrize(
+    ("site", "api"), [("cross-site", 403), ("same-site", 403), ("same-origin", 200), ("none", 200)]
+)
+def test_reads_that_another_site_makes_are_refused(server: Served, site: str, api: int) -> None:
+    headers = {"Sec-Fetch-Site": site}
+    answer = server.ask("GET", "/api/session", None, headers, token=COMMAND)
+    assert answer.status == api
+    assert api == 200 or "another site" in answer.json["what"]
+    assert server.ask("GET", "/", None, headers).status in (200, 503), "a link opens the page"
+
+
 def test_requests_of_another_port_are_refused(server: Served) -> None:
     ours = server.ask("POST", "/api/drones/77/arm", None, {"Origin": f"http://{server.host}"}, token=COMMAND)
     assert ours.status == 404

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -23,11 +27,20 @@ class _Flown:
     `unclaimed` are files that were there, not whole, and not said to be written; `told` those said to be whole.
     """
 
-    def __init__(self, folder: Path, seconds: float, telemetry: bool, rests: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        seconds: float,
+        telemetry: bool,
+        rests: bool = False,
+        each: Callable[[], None] = lambda: None,
+    ) -> None:
         self.unclaimed: set[str] = set()
         self.told: list[str] = []
         self.failed: list[str] = []
         self.seen: set[str] = set()
+        self.last = ""
+        self._each = each
         self._folder, self._seconds, self._telemetry, self._rests = folder, seconds, telemetry, rests
         run_virtual(self._fly())
 
@@ -44,6 +57,8 @@ class _Flown:
                 await asyncio.sleep(0.1)
                 if self._telemetry:
                     peer.send("TWODOF_SAFETY", tick=25 * tick, action=0, reason=0, flags=0)
+                self._each()
+            self.last = recorder.name
             await drone.disarm()
             await asyncio.sleep(3.0)
             for task in tasks:
@@ -80,3 +95,18 @@ def test_a_flight_that_records_itself_is_not_recorded_again(tmp_path: Path) -> N
     flown = _Flown(tmp_path, 1.0, telemetry=True, rests=True)
     assert (flown.told, flown.failed) == ([], [])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_recording_is_named_once_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, begun = os.write, time.monotonic()
+
+    def full(descriptor: int, data: bytes) -> int:
+        if time.monotonic() > begun + 0.5:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data)
+
+    monkeypatch.setattr("twodof.flightlog.append_only_file.os.write", full)
+    flown = _Flown(tmp_path, 3.0, telemetry=True, each=lambda: time.sleep(0.05))
+    assert flown.last == ""
+    assert any("No space left" in line for line in flown.failed)
+    assert not any(str(tmp_path) in line for line in flown.failed)

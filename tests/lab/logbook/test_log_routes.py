@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -215,6 +216,21 @@ def test_an_uploaded_log_never_replaces_another(server: Served, tmp_path: Path) 
     assert server.ask("GET", "/api/logs/dropped.mat/file").content == content
     for name in ("dropped.mat", "dropped-2.mat"):
         assert server.ask("DELETE", f"/api/logs/{name}").status == 200
+
+
+def test_a_full_disk_is_said_without_folders(server: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_log(attitude_steps(), tmp_path / "x.mat")
+    server.ask("POST", "/api/logs/full.mat", (tmp_path / "x.mat").read_bytes())
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("twodof.flightlog.atomic.os.fsync", full)
+        answer = server.ask("PUT", "/api/logs/full.mat/notes", {"text": "x"})
+    assert answer.status == 507
+    assert "No space left" in answer.json["what"]
+    assert "/" not in answer.json["where"]
 
 
 def test_deleting_is_undone_with_the_notes_and_ends_after_its_days(

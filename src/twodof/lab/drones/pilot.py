@@ -13,6 +13,7 @@ from twodof.flightlog import numbered
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.recording import Recording, record
+from twodof.lab.answers import without_folders
 
 LEASE_S = 4.0
 """Longest wait for the lease of a client that is gone."""
@@ -134,7 +135,7 @@ class FlightRecorder:
             try:
                 await self._record()
             except (LogError, OSError, Rejected, Timeout) as error:
-                self._failed(f"this flight is not recorded: {error}")
+                self._failed(f"this flight is not recorded: {without_folders(str(error))}")
                 await asyncio.sleep(AGAIN_S)
 
     async def _record(self) -> None:
@@ -148,7 +149,7 @@ class FlightRecorder:
         try:
             async with record(self._drone, path, None, told, self._flying, overwrite=False) as recording:
                 begun = recording
-                await self._until(armed=False)
+                await self._until(armed=False, recording=recording)
                 with suppress(TimeoutError):
                     async with asyncio.timeout(AFTER_S):
                         await self._until(armed=True)
@@ -159,8 +160,11 @@ class FlightRecorder:
             if path.exists():
                 self._recorded(path.name)
 
-    async def _until(self, armed: bool) -> None:
+    async def _until(self, armed: bool, recording: Recording | None = None) -> None:
+        """Wait for arming or disarming. Raises LinkLost; RecordingError once the disk has ended `recording`."""
         session = self._drone.session
         while self._drone.state.armed != armed:
+            if recording is not None and recording.failure is not None:
+                raise recording.failure
             session.check(session.now)
             await asyncio.sleep(RECORDER_LOOK_S)
