@@ -158,6 +158,13 @@ class TestGuard:
         assert told["figures"]["rise_time"]["low"] <= told["figures"]["rise_time"]["high"]
         assert "RATE_KP" in told["parameters"]
 
+    def test_a_step_alone_lies_within_the_previews_band(self, lab: ServedLab) -> None:
+        asked = {"changes": {"ATT_KP": 8.0}, "goal": 0.1}
+        whole, alone = (lab.call("POST", f"tuning/1/{what}", asked)[1] for what in ("preview", "step"))
+        assert (alone["time"], alone["goal"]) == (whole["time"], whole["goal"])
+        band, middle = whole["bands"]["theta"], alone["bands"]["theta"]["middle"]
+        assert all(low < m < high for low, m, high in zip(band["low"], middle, band["high"], strict=True) if m)
+
     @pytest.mark.parametrize("asked", [{"changes": {"RATE_KP": True}}, {"changes": {}, "goal": "0.1"}])
     def test_only_a_number_is_previewed_as_a_number(self, lab: ServedLab, asked: dict[str, object]) -> None:
         status, told = lab.call("POST", "tuning/1/preview", asked)

@@ -26,7 +26,8 @@ from tests.web.lab_server import LabServer, served
 
 PROJECT = Path(__file__).resolve().parents[2]
 PICTURES = PROJECT / "out" / "web"
-REFUSED_ARMING = re.compile(r"status of 409 .*/arm\)$")  # a test finds itself that the drone does not fly
+# A drone on a busy computer may refuse to arm, or answer too late. A test finds itself whether it flies.
+NOT_DONE = re.compile(r"status of (409 .*/arm|504 .*/drones/\d+/\w+)\)$")
 ARGUMENTS = (
     "--no-sandbox",
     "--disable-gpu",
@@ -189,7 +190,7 @@ def open_page(browser: Browser, window: Window) -> Iterator[OpenPage]:
         context.close()
     if window.tab in opened:
         window.renew()
-    errors = [error for error in errors if not REFUSED_ARMING.search(error)]
+    errors = [error for error in errors if not NOT_DONE.search(error)]
     unexpected = [error for error in errors if not any(words in error for words in expected)]
     assert not unexpected, unexpected
 

@@ -66,11 +66,14 @@ class LabServer:
     def calm(self, rings: bool = False) -> None:
         """The drone as at its start: disarmed, released, at the middle of the rail, commanded by nobody."""
         self.until(link="heard")
-        self.tell("disarm")
-        if self.state["killed"]:
-            self.tell("release")
-        self.tell("reset", {"seed": 1, "x": 0.0, "noise": 1.0, "rings": rings})
-        self.tell("lease", method="DELETE")
+        for _ in patiently():
+            with suppress(OSError):  # a busy computer answers too late
+                self.tell("disarm")
+                if self.state["killed"]:
+                    self.tell("release")
+                self.tell("reset", {"seed": 1, "x": 0.0, "noise": 1.0, "rings": rings})
+                self.tell("lease", method="DELETE")
+                break
         # The estimator needs some tenths of a second from the reset on until it may be armed.
         for _ in patiently():
             if not self.state["warnings"] and self.state["lease_holder"] is None:

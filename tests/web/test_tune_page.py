@@ -13,6 +13,8 @@ from tests.lab.served import ServedLab, served_lab
 from tests.lab.test_tuning_routes import MODEL
 from tests.patience import PATIENCE_S
 from tests.web.conftest import OpenPage, axe, picture, readable
+from tests.web.lab_server import LabServer
+from tests.web.pilot import armed, flown, press
 
 pytestmark = pytest.mark.slow
 
@@ -134,6 +136,57 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
     expect(bar.get_by_role("alert")).to_contain_text("unstable within the uncertainty", timeout=LONG_MS)
     expect(bar).to_contain_text("0.0854 → 0.12")
     assert on_board(lab, "RATE_KD") == 0.0
+
+
+def fly(page: Page, pitch: str) -> None:
+    """Fly a step, and another one as soon as it is measured."""
+    flown(page, press(page, pitch), lambda: True)
+    page.wait_for_timeout(1500)
+
+
+@pytest.mark.parametrize("by", ["keys", "mouse"])
+def test_a_gain_is_moved_flown_and_kept(by: str, lab_server: LabServer, open_page: OpenPage) -> None:
+    lab_server.call("PUT", "models/careful", MODEL)
+    lab_server.tell("parameters", {"ATT_KP": 11.0}, "PATCH")
+    page = open_page(f"{lab_server.link}#/tune", expects=("504",))  # asked again where the computer is busy
+    page.get_by_label("Model", exact=True).select_option("careful")
+    expect(page.get_by_text(re.compile(r"Stable, worst margin \d+ deg"))).to_be_visible(timeout=LONG_MS)
+    slider = page.get_by_role("slider", name="ATT_KP, slider")
+    armed(page)
+    fly(page, "10°")
+    fly(page, "0°")
+    if by == "mouse":
+        page.get_by_label("Send at release").check()
+        slider.scroll_into_view_if_needed()
+        box = slider.bounding_box()
+        assert box
+        y = box["y"] + box["height"] / 2
+        page.mouse.move(box["x"] + 11 / 15 * box["width"], y)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 8 / 15 * box["width"], y, steps=10)
+        page.mouse.up()
+    else:
+        slider.focus()
+        for _ in range(40):
+            slider.press("ArrowLeft")
+        page.get_by_role("button", name="Send 1 change").press("Enter")
+    expect(page.get_by_text("Sent: ATT_KP")).to_be_visible(timeout=LONG_MS)
+    (kept,) = (
+        row["value"]
+        for row in lab_server.call("GET", f"drones/{lab_server.drone}/parameters")
+        if row["name"] == "ATT_KP"
+    )
+    assert 7.0 < kept < 9.0
+    fly(page, "10°")
+    fly(page, "0°")
+    lab_server.tell("disarm")
+    readable(page, f"cockpit-{by}")
+    page.get_by_role("tab", name="Snapshots and files").click()
+    page.get_by_label("Keep all parameters as").fill(f"calmer by {by}")
+    page.get_by_role("button", name="Keep", exact=True).click()
+    expect(page.get_by_text(f"Kept as calmer by {by}")).to_be_visible()
+    lab_server.tell("parameters", {"ATT_KP": 11.0}, "PATCH")
+    lab_server.call("DELETE", "models/careful")
 
 
 def test_a_snapshot_is_compared_and_restored(lab: ServedLab, open_page: OpenPage) -> None:

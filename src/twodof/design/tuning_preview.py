@@ -151,6 +151,9 @@ GAINS = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP")
 SURE = 200
 """Members that fly in a preview."""
 
+QUICK = 60
+"""Members that fly for the step alone, while a slider moves."""
+
 
 @dataclass(frozen=True, eq=False)
 class PitchLaw:
@@ -194,6 +197,12 @@ class PitchLaw:
     def preview(self, family: PitchFamily, goal: float) -> TuningPreview:
         """Return the preview on `family`, with a step of theta by `goal` [rad]."""
         return tuning_preview(family, self.gains or self.controller, goal=goal, members=SURE)
+
+    def step(self, family: PitchFamily, goal: float) -> dict[str, Any]:
+        """Return the band of a step of theta by `goal` [rad] alone, of fewer members: in a tenth of the time."""
+        made = promise(self.controller, family, goal=goal, members=QUICK, name="step")
+        band = {side: _rounded(_cut(getattr(made, side))["theta"]) for side in ("low", "middle", "high")}
+        return {"goal": goal, "level": LEVEL, "time": _rounded(made.time), "bands": {"theta": band}}
 
     def verdict(self, family: PitchFamily) -> Robustness:
         """Return the verdict on the stability of the family under the law, as in the preview."""

@@ -6,7 +6,7 @@ import hashlib
 import hmac
 import json
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -212,6 +212,18 @@ def judge(
     return {**told, **_verdict(after.verdict(own))} if told["touches"] else told
 
 
+def predicted_step(
+    values: dict[str, float],
+    changes: dict[str, float],
+    diagram: str | None,
+    paths: dict[str, str],
+    family: dict[str, Any],
+    goal: float,
+) -> dict[str, Any]:
+    """Predict the step of theta by `goal` [rad] under the pitch law with `changes`."""
+    return PitchLaw.flown({**values, **changes}, diagram, paths).step(PitchFamily.from_json(family), goal)
+
+
 def _verdict(found: Robustness) -> dict[str, Any]:
     return {"unstable": not found.robust, "text": found.text}
 
@@ -235,12 +247,26 @@ class TuningGuard:
         self, one: LabDrone, changes: Mapping[str, float], model: str, goal: float | None
     ) -> dict[str, Any]:
         """Judge changes by name or path on a model. Raises as `judge`, NotThere, LinkLost, Timeout."""
+        return await self._ask(judge, one, changes, model, goal)
+
+    async def step(self, one: LabDrone, changes: Mapping[str, float], model: str, goal: float) -> dict[str, Any]:
+        """Predict a step with changes by name or path on a model. Raises as `predicted_step` and `judge`."""
+        return await self._ask(predicted_step, one, changes, model, goal)
+
+    async def _ask(
+        self,
+        what: Callable[..., dict[str, Any]],
+        one: LabDrone,
+        changes: Mapping[str, float],
+        model: str,
+        goal: float | None,
+    ) -> dict[str, Any]:
         family = self._models.family(model)
         given, active = await self._named(one, changes)
         entries = await one.connection.parameters.entries()
         diagram = active.diagrams.get(ATTITUDE.name)
         return await self._bench.do(
-            judge,
+            what,
             _own_names({entry.name: entry.value for entry in entries}),
             given,
             None if diagram is None else diagram.decode(),

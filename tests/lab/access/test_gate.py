@@ -39,6 +39,7 @@ FOR_WATCHERS = {
     "/api/identification/plan",
     "/api/tuning/{number}/measured",
     "/api/tuning/{number}/preview",
+    "/api/tuning/{number}/step",
     "/api/drones/{number}/kill",
 }
 

@@ -38,22 +38,27 @@ export interface Interval {
   high: number | null;
 }
 
-/** Prediction of changed gains on the identified models. */
-export interface Preview {
+/** Band of the step of theta that changed gains fly on the identified model. */
+export interface PredictedStep {
   why: "";
+  goal: number;
+  level: number;
+  time: number[];
+  bands: Record<"theta", { low: number[]; middle: number[]; high: number[] }>;
+}
+
+/** Prediction of changed gains, with margins and verdict. */
+export interface Preview extends PredictedStep {
   model: string;
   /** User's controller, "" for the stock one. */
   controller: string;
   touches: boolean;
   unstable: boolean;
   confirm: string;
-  goal: number;
-  level: number;
-  time: number[];
-  bands: Record<"theta", { low: number[]; middle: number[]; high: number[] }>;
   loops: Record<string, LoopMargins>;
   figures: Record<string, Interval>;
-  verdict: { robust: boolean; text: string };
+  /** The disk margin is that of the worst drone found. */
+  verdict: { robust: boolean; text: string; disk_margin_deg: number };
 }
 
 /** Flown step of theta, scaled to the goal. */
@@ -95,6 +100,10 @@ export async function previewTuning(
   const answer = await request("POST", `tuning/${drone}/preview`, { changes, goal }, 90);
   return (await answer.json()) as Preview | { why: string };
 }
+
+/** Predict the step alone, fast enough to follow a slider. */
+export const predictStep = (drone: number, changes: Record<string, number>, goal: number) =>
+  send<PredictedStep | { why: string }>("POST", `tuning/${drone}/step`, { changes, goal });
 
 export const measuredSteps = (drone: number, log: string, goal: number) =>
   send<{ log: string; steps: MeasuredStep[] }>("POST", `tuning/${drone}/measured`, { log, goal });

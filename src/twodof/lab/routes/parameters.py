@@ -223,9 +223,7 @@ async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict
     `touches` is True if the changes affect the law; `parameters` are those that can. `confirm` is the token for an
     unstable change. `why` has the reason if the preview is missing, as for a law without a linear model, else "".
     """
-    name = asked.model or lab.models.chosen(one.number)
-    if name is None:
-        raise NotThere("no model guards this drone", f"drone {one.number}", "choose a model, or identify one")
+    name = _model(lab, one, asked)
     try:
         told = await lab.guard.judge(one, asked.changes, name, asked.goal)
     except DiagramError as reason:
@@ -237,6 +235,26 @@ async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict
         **{key: told[key] for key in ("controller", "touches", "parameters", "unstable")},
         "confirm": lab.guard.token(name, told),
     }
+
+
+@tuning_router.post("/{number}/step", dependencies=[WATCHERS_MAY])
+async def step(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict[str, Any]:
+    """Predict the band of a step with `changes`, without margins and verdict: fast enough to follow a slider.
+
+    `why` has the reason if the band is missing, as for a law without a linear model, else "".
+    """
+    try:
+        return {"why": "", **await lab.guard.step(one, asked.changes, _model(lab, one, asked), asked.goal)}
+    except DiagramError as reason:
+        return {"why": reason.what}
+
+
+def _model(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> str:
+    """Return the name of the model asked for, or of the one that guards the drone. Raise NotThere without one."""
+    name = asked.model or lab.models.chosen(one.number)
+    if name is None:
+        raise NotThere("no model guards this drone", f"drone {one.number}", "choose a model, or identify one")
+    return name
 
 
 @tuning_router.post("/{number}/measured", dependencies=[WATCHERS_MAY])

@@ -67,6 +67,10 @@ export function shown(value: number | null, unit = ""): string {
 export const lowOf = (row: ParameterRow) => (row.low === null || row.low < -BOUNDLESS ? -Infinity : row.low);
 export const highOf = (row: ParameterRow) => (row.high === null || row.high > BOUNDLESS ? Infinity : row.high);
 
+/** Return whether a parameter has a slider: a gain with bounds. */
+export const slides = (row: ParameterRow) =>
+  row.tuning && row.kind === "float" && Number.isFinite(lowOf(row)) && Number.isFinite(highOf(row));
+
 /** Return why a value is refused, or "". */
 export function mistake(row: ParameterRow, value: number): string {
   if (row.kind === "int32" && !Number.isInteger(value)) return "Give a whole number.";

@@ -5,10 +5,12 @@ import {
   chooseGuard,
   guardOf,
   listParameters,
+  predictStep,
   previewTuning,
   undoChange,
   type Change,
   type ParameterRow,
+  type PredictedStep,
   type Preview,
 } from "../../api/tuning";
 import { telemetry } from "../../api/telemetry";
@@ -17,6 +19,7 @@ import { LatestOnly } from "../fly/latest_only";
 import { asRecord, differences, withChanges, type Edits } from "./draft";
 
 const WAIT_MS = 200;
+const TOO_SLOW = 504;
 
 /** Parameters of one drone: edits, preview and sent changes. */
 export class Tuning {
@@ -30,6 +33,10 @@ export class Tuning {
   /** Size of the predicted step [rad]. */
   goal = $state((10 * Math.PI) / 180);
   preview = $state.raw<Preview | undefined>(undefined);
+  /** Step that the slider has reached; undefined once the preview is there. */
+  step = $state.raw<PredictedStep | undefined>(undefined);
+  /** Send when a slider is let go. */
+  atRelease = $state(false);
   refused = $state("");
   previewing = $state(false);
   sending = $state(false);
@@ -49,6 +56,13 @@ export class Tuning {
   private readonly previews = new LatestOnly<Record<string, number>>(
     (changes) => this.ask(changes),
     () => {},
+  );
+  private readonly steps = new LatestOnly<Record<string, number>>(
+    async (changes) => {
+      const found = await predictStep(this.drone, changes, this.goal);
+      if ("bands" in found && !this.judged) this.step = found;
+    },
+    () => {}, // the preview says what is wrong
   );
 
   constructor(readonly drone: number) {}
@@ -94,6 +108,16 @@ export class Tuning {
     this.edits = new Map(this.edits).set(name, value);
     this.failure = "";
     this.askSoon();
+  }
+
+  /** Send what a slider has changed, if that is wished and the model finds no unstable drone. */
+  async released(): Promise<void> {
+    if (!this.atRelease || this.changes.length === 0 || this.sending) return;
+    clearTimeout(this.waiting);
+    if (this.model !== null && !this.judged) await this.ask(asRecord(this.changes));
+    if (this.judged?.unstable && this.judged.touches)
+      this.failure = "Not sent: these gains may be unstable. Press Send.";
+    else await this.send();
   }
 
   take(changes: readonly Change[]): void {
@@ -150,6 +174,7 @@ export class Tuning {
 
   askSoon(): void {
     clearTimeout(this.waiting);
+    if (this.model !== null && this.changes.length > 0) this.steps.give(asRecord(this.changes));
     this.waiting = setTimeout(() => {
       if (this.model !== null) this.previews.give(asRecord(this.changes));
       else this.preview = undefined;
@@ -174,12 +199,14 @@ export class Tuning {
     try {
       const found = await previewTuning(this.drone, changes, this.goal);
       this.preview = "bands" in found ? found : undefined;
+      this.step = undefined;
       this.asked = question;
       this.previewed = JSON.stringify(changes);
       this.refused = found.why;
     } catch (failure) {
       this.preview = undefined;
       this.refused = messageOf(failure);
+      if (failure instanceof ApiError && failure.status === TOO_SLOW) this.askSoon(); // a busy computer: once more
     } finally {
       this.previewing = false;
     }
