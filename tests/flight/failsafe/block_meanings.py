@@ -139,8 +139,9 @@ def motion(r: Row) -> dict[str, Any]:
         "output.disagrees": reached and watched,
         "output.apart": apart,
         "update.dist": dist,
-        **{f"update.{name}": value if watched else 0.0 for name, value in new.items()},
-        **({} if watched else {"update.mean_1": dist}),
+        "update.sampled": r["last_sampled"] or r["range_taken"],
+        **{f"update.{name}": value if watched and r["last_sampled"] else 0.0 for name, value in new.items()},
+        **({} if watched and r["last_sampled"] else {"update.mean_1": dist}),
     }
 
 
@@ -361,7 +362,7 @@ MEANINGS = (
         {
             "speed": (0.0, 0.5, -0.25),
             "dist": (0.0, 0.0, 0.25, -0.25, 1.0, NAN),
-            **dict.fromkeys(("range_taken", "arm", "rings"), BOOLS),
+            **dict.fromkeys(("range_taken", "arm", "rings", "last_sampled"), BOOLS),
             **dict.fromkeys(("last_place", "last_taken", "last_dist"), (0.0, 0.0, 0.25, -0.25)),
             **dict.fromkeys(("last_gap", "last_gap_before"), (0.0, 0.0625, -0.0625, 0.25, -0.25, 1.0, -1.0, NAN)),
             **dict.fromkeys(("last_low_1", "last_low_2"), (0.0, 0.0, 0.0625)),

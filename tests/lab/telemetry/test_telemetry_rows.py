@@ -108,7 +108,8 @@ def test_rows_wait_for_a_truth_that_comes() -> None:
     assert ticks is not None
     assert values is not None
     assert ticks.tolist() == [1]
-    assert values[0, len(ONBOARD) :].tolist() == np.array([0.1, 0.2, 0.3, 0.4], dtype=np.float32).tolist()
+    truth = values[0, len(ONBOARD) : PLACES[ACTION]]
+    assert truth.tolist() == np.array([0.1, 0.2, 0.3, 0.4], dtype=np.float32).tolist()
     assert values.shape[1] == len(COLUMNS)
     put(rows, *range(3, 2 + PATIENCE_TICKS))
     assert taken(rows) == list(range(2, 2 + PATIENCE_TICKS))  # the truth comes no more

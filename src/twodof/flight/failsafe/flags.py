@@ -321,7 +321,8 @@ class RangeConsistency(Block):
     sample is believed (`range_taken`), so that both have the same delay. Place and range pass the same high-pass,
     (s / (s + `band`))^3, as the start, a tilted rail and the trim are unknown. Their distance at two samples in a row,
     the smaller one, less `slack` and the share `share` of the expected motion, is summed up to `limit`: the range has
-    stepped, or stays where the cart moves. Nothing is summed while disarmed, or with the cart locked.
+    stepped, or stays where the cart moves. Nothing is summed before the first sample, while disarmed, or with the cart
+    locked.
     """
 
     inputs = (Port("speed", unit="m/s"), *ports("dist"), Port("range_taken", "bool"), *ports("arm", "rings"))
@@ -330,6 +331,7 @@ class RangeConsistency(Block):
         State("apart", unit="m*s"),
         *(State(name, unit="m") for name in ("place", "taken", "dist", "gap", "gap_before")),
         *(State(name, unit="m") for name in ("low_1", "low_2", "mean_1", "mean_2", "mean_3")),
+        State("sampled", False, "bool"),
     )
     derived = (Port("per_band"),)
     params = tunables("failsafe.motion")
@@ -364,7 +366,9 @@ class RangeConsistency(Block):
         new = held | {name: x[name] + p.per_band * high for name, high in stages.items()}
         new |= {"apart": apart, "place": x.place + u.speed * t.dt - p.per_band * x.place}
         start = dict.fromkeys(new, 0.0) | {"mean_1": dist}
-        return {"dist": dist} | {name: where(u.arm & ~u.rings, value, start[name]) for name, value in new.items()}
+        compared = u.arm & ~u.rings & x.sampled
+        followed = {name: where(compared, value, start[name]) for name, value in new.items()}
+        return {"dist": dist, "sampled": x.sampled | u.range_taken} | followed
 
 
 class RateConsistency(Block):
