@@ -375,7 +375,7 @@ class Multisine(Excitation):
             or len(lines) > MAX_LINES
         ):
             raise ExperimentError(
-                "a harmonic is no whole number in bounds, or there are too many",
+                "a harmonic is not a whole number in bounds, or there are too many",
                 f"{cls.kind}.harmonics",
                 f"give at most {MAX_LINES} whole numbers from 1 to {MAX_HARMONIC}",
             )

@@ -196,7 +196,7 @@ WRONG: list[tuple[str, bytes | str, str]] = [
         for rest in ("", ', "channels": [{"name": "q"}], "provenance": {}', ', "channels": [], "provenance": 1')
     ),
     (".ulg", b"", "the file is empty"),
-    (".ulg", b"ULog", "is no ULog file"),
+    (".ulg", b"ULog", "is not a ULog file"),
     (".ulg", px4_log(0)[:7] + b"\x09" + bytes(8), "has the ULog version 9"),
     (".ulg", px4_log(1) + bytes(50), "no message at byte"),
     (".ulg", px4_log(0), "no topic in it becomes a channel; topics: battery_status"),

@@ -96,8 +96,9 @@ def failsafe_acts(log: FlightLog) -> list[tuple[float, float]]:
 def flown_steps(log: FlightLog, mode: str, held_s: float = 0.1) -> list[tuple[Event, float]]:
     """Return the steps of the set-point of `mode` that were asked for and flown, each with the end [s] of its response.
 
-    Both levels were held for `held_s` [s], in this mode. What the failsafe flies is no step, nor is the return to the
-    set-point after it. The response ends at the next step, with the mode, or where the failsafe acts. Raises LogError.
+    Both levels were held for `held_s` [s], in this mode. What the failsafe flies does not count. The return to the
+    set-point after it does not count either. The response ends at the next step, with the mode, or where the failsafe
+    acts. Raises LogError.
     """
     acts, found = failsafe_acts(log), []
     steps = setpoint_steps(log, SETPOINTS[mode], held_s)

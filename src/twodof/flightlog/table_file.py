@@ -130,7 +130,7 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
 def _parsed(
     data: bytes, start: int, names: list[str], separator: str, types: Mapping[str, pa.DataType | None], where: str
 ) -> pa.Table:
-    """Return the rows from byte `start` on: float64, but for `types`, where None lets pyarrow find the type."""
+    """Return the rows from byte `start` on: float64, except `types`, where None lets pyarrow find the type."""
     try:
         return pa_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)[start:]),

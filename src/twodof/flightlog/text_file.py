@@ -7,7 +7,7 @@ SEPARATORS = ",;\t"
 
 
 def text_of(data: bytes) -> str:
-    """Return the text of a file: UTF-8, or UTF-16 behind a byte order mark, which is no part of the text.
+    """Return the text of a file: UTF-8, or UTF-16 behind a byte order mark, which is left out.
 
     Raises UnicodeDecodeError.
     """

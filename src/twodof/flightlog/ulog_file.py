@@ -95,7 +95,7 @@ def scan_ulog(data: bytes, where: str, salvage: bool = False) -> ULogContents:
     Raises LogError for a file that is no ULog and, without `salvage`, for any other damage.
     """
     if data[: len(MAGIC)] != MAGIC or len(data) < HEADER.size:
-        raise LogError("is no ULog file", where, "give a log of PX4 or of the virtual flight controller")
+        raise LogError("is not a ULog file", where, "give a log of PX4 or of the virtual flight controller")
     if data[len(MAGIC)] > 1:
         raise LogError(f"has the ULog version {data[len(MAGIC)]}", where, "give a log of version 1")
     found = ULogContents()

@@ -3,7 +3,7 @@
 `Gate` looks at every request before its route is found: host, origin, token. `LabRoute` looks at it before its body is
 read: role and size. A route says in `dependencies` whether clients that only watch may call it, and its largest body.
 
-A page of another site can have its reader's browser send requests to this computer. It cannot forge `Origin`, nor
+A page of another site can have its reader's browser send requests to this computer. It cannot forge `Origin` or
 `Sec-Fetch-Site`, which comes with a GET too; a link to the page opens it, but the API does not answer it. With a
 name of its own that points to this computer (DNS rebinding) it would be its own origin; it cannot forge `Host`.
 """
@@ -198,7 +198,7 @@ def lab_routes(routers: Sequence[APIRouter]) -> list[LabRoute]:
 class Gate:
     """Middleware that checks host, origin and token of every request and web socket, in this order.
 
-    Requests of clients that may not command begin in turns, but for the one that stops motors.
+    Requests of clients that may not command begin in turns, except the one that stops motors.
     """
 
     def __init__(self, app: ASGIApp, settings: LabSettings) -> None:

@@ -54,13 +54,13 @@ class Places:
         if self.most < 2:
             what = f"this process may open {files} files only"
             raise LinkError(what, "server", "raise the limit: `ulimit -n 1024`, then start it again")
-        self._taken: dict[Role | None, dict[Connection, None]] = {role: {} for role in (None, *Role)}
+        self._taken: dict[Role | None, dict[PlacedConnection, None]] = {role: {} for role in (None, *Role)}
 
     def count(self, role: Role | None) -> int:
         """Return the number of connections of a role."""
         return len(self._taken[role])
 
-    def take(self, one: Connection) -> None:
+    def take(self, one: PlacedConnection) -> None:
         """Give a connection a place among those of its role, and close another one if there are too many."""
         taken = self._taken[one.role]
         taken[one] = None
@@ -69,7 +69,7 @@ class Places:
             theirs = [other for other in taken if other.person == person]
             next((other for other in theirs if other.idle), theirs[0]).end()
 
-    def leave(self, one: Connection) -> None:
+    def leave(self, one: PlacedConnection) -> None:
         """Take a connection's place back."""
         self._taken[one.role].pop(one, None)
 
@@ -92,7 +92,7 @@ class LabConfig(uvicorn.Config):
         super().__init__(app, http=HttpConnection, ws=SocketConnection, backlog=ACCEPTED_AT_ONCE, **options)
 
 
-class Connection(asyncio.Protocol):
+class PlacedConnection(asyncio.Protocol):
     """Connection with a place, in `scope["state"]["connection"]` of its requests.
 
     `role` is None until a request has shown its token. The connection is closed at `due` or `unread_due`, or earlier if
@@ -166,7 +166,7 @@ class Connection(asyncio.Protocol):
         self.transport.abort()
 
 
-class HttpConnection(Connection, H11Protocol):
+class HttpConnection(PlacedConnection, H11Protocol):
     """HTTP connection with time limits."""
 
     idle = property(lambda self: self.cycle is None or self.cycle.response_complete)
@@ -212,7 +212,7 @@ class HttpConnection(Connection, H11Protocol):
         self.unread_due = inf
 
 
-class SocketConnection(Connection, WebSocketsSansIOProtocol):
+class SocketConnection(PlacedConnection, WebSocketsSansIOProtocol):
     """Web socket, which has a connection's place until it hears telemetry, and again while it is being closed."""
 
     @property
