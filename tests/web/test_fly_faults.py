@@ -40,7 +40,7 @@ def test_the_page_survives_a_server_restart(lab_server: LabServer, open_page: Op
     expect(page.get_by_text("Connected to the server again.")).to_be_visible()
     expect(page.get_by_text("No connection to the server.", exact=True)).to_be_hidden()
     # Nobody renewed the set-point or the lease meanwhile: what the failsafe has done is said.
-    expect(page.locator("[aria-label='The drone']").get_by_text("Failsafe")).to_be_visible()
+    expect(page.locator("[aria-label='The drone']").get_by_text("Failsafe").first).to_be_visible()
     lab_server.calm()
     flying(page)
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.03)

@@ -72,9 +72,11 @@ async function killed(drone: number, goesOn: () => boolean): Promise<string> {
       why = messageOf(failure);
       // What is refused stays refused; what did not arrive, or was not seen, is said again.
       if (failure instanceof ApiError && [401, 403, 404].includes(failure.status)) return why;
-      if (!(failure instanceof ApiError && failure.status === 0)) attempt += 1;
+      const unreached = failure instanceof ApiError && failure.status === 0;
+      if (!unreached) attempt += 1;
       else if (!goesOn()) return why;
       await new Promise((done) => setTimeout(done, WAIT_MS));
+      if (unreached && !goesOn()) return why; // withdrawn meanwhile
     }
   }
   return why;

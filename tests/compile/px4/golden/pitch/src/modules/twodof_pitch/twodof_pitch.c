@@ -115,25 +115,27 @@ void twodof_pitch_init(const twodof_pitch_P *p, twodof_pitch_S *s)
 void twodof_pitch_step(const twodof_pitch_P *restrict p, twodof_pitch_S *restrict s, const twodof_pitch_U *restrict u, twodof_pitch_Y *restrict y)
 {
     /* damper: Damper */
-    const real damper_error = u->FLAG_ATTITUDE_ENABLED ? u->theta_0 - u->theta : 0.0f;
+    const real damper_t1 = u->theta_0 - u->theta;
+    const real damper_error = u->FLAG_ATTITUDE_ENABLED ? damper_t1 : 0.0f;
     const int32_t damper_count = s->damper_count;
-    const real damper_M = p->damper_gains[0] * (u->FLAG_ATTITUDE_ENABLED ? u->theta_0 - u->theta : 0.0f) - p->damper_gains[1] * u->q + (p->damper_integrating ? p->damper_ki * s->damper_sum : 0.0f);
+    const real damper_M = p->damper_gains[0] * damper_error - p->damper_gains[1] * u->q + (p->damper_integrating ? p->damper_ki * s->damper_sum : 0.0f);
     /* feed: gain */
     const real feed_y = p->feed_k * u->q_0;
     /* sum: sum */
     const real sum_y = damper_M + feed_y;
+    /* damper: Damper */
+    real damper_t2;
+    if (u->FLAG_RESET_INT) {
+        damper_t2 = 0.0f;
+    } else {
+        damper_t2 = s->damper_sum + damper_t1 * 0.004f / ((real)p->damper_share);
+    }
     /* what is returned */
     y->M = sum_y;
     y->damper_error = damper_error;
     y->damper_count = damper_count;
     /* damper: Damper */
-    real damper_t1;
-    if (u->FLAG_RESET_INT) {
-        damper_t1 = 0.0f;
-    } else {
-        damper_t1 = s->damper_sum + (u->theta_0 - u->theta) * 0.004f / ((real)p->damper_share);
-    }
-    s->damper_sum = damper_t1;
+    s->damper_sum = damper_t2;
     s->damper_count = int32_add(damper_count, 1);
     /* the next tick */
     s->tick += 1u;
