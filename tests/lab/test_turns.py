@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 
+from tests.patience import PATIENCE_S
 from twodof.errors import Rejected
 from twodof.lab.turns import Turns, greediest
 
@@ -46,8 +47,8 @@ def test_a_cancelled_request_passes_its_turn_on() -> None:
         turns.give_back()  # to b, who is cancelled before b runs on
         waiting[1].cancel()
         await asyncio.gather(*waiting[:2], return_exceptions=True)
-        await asyncio.wait_for(waiting[2], 10.0)
+        await asyncio.wait_for(waiting[2], PATIENCE_S)
         turns.give_back()
-        await asyncio.wait_for(turns.take("d"), 10.0)
+        await asyncio.wait_for(turns.take("d"), PATIENCE_S)
 
     asyncio.run(run())
