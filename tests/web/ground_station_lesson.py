@@ -17,6 +17,8 @@ LONG_MS = 1000.0 * PATIENCE_S
 STANDS_S = 4.0
 """How long the lesson has the cart move and stand."""
 
+FIGURES = re.compile(r"\d\.\d{3} s.*%", re.DOTALL)
+
 
 def run(page: Page, take: Take) -> None:
     """All of it, from the Fly page of a drone that stands at its start."""
@@ -42,12 +44,16 @@ def _fly(page: Page, take: Take) -> None:
     page.get_by_role("button", name="Arm", exact=True).click()
     expect(page.get_by_role("button", name="Disarm")).to_be_enabled()
     page.get_by_role("tab", name="Position").click()
-    for place in ("0.00", "0.10", "0.00"):
-        page.get_by_role("button", name=place, exact=True).click()
-        time.sleep(STANDS_S)
     flown = page.get_by_role("table", name="Steps as they are flown").get_by_role("row")
-    for step in ("0.00 → 0.10", "0.10 → 0.00"):
-        expect(flown.filter(has_text=step)).to_contain_text(re.compile(r"\d\.\d{3} s.*%"))
+    rows = [flown.filter(has_text=step).last for step in ("0.00 → 0.10", "0.10 → 0.00")]
+    for _ in range(3):  # on a busy computer the failsafe may cut a step
+        for place in ("0.00", "0.10", "0.00"):
+            page.get_by_role("button", name=place, exact=True).click()
+            time.sleep(STANDS_S)
+        if all(row.count() and FIGURES.search(row.inner_text()) for row in rows):
+            break
+    for row in rows:
+        expect(row).to_contain_text(FIGURES)
     take("fly")
     page.get_by_role("button", name="Start", exact=True).click()
     expect(page.get_by_role("button", name="Stop it")).to_be_visible()
