@@ -13,6 +13,8 @@ import signal
 from collections.abc import Generator
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in `twodof`; before numpy is loaded
+
 import pytest
 from hypothesis import settings
 from hypothesis.internal.conjecture.providers import HypothesisProvider

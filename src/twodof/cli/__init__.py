@@ -13,6 +13,8 @@ def main() -> None:
     The rest of the package is imported here, so that Ctrl-C while it loads is met as at any later time.
     """
     interrupts.begin()
+    # Matrices are small: more threads wait for each other, and the last digits of a fit hang on the number of cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the shell (>&-): the command still does its work
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
