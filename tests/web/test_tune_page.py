@@ -141,7 +141,7 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
 
 
 def fly(page: Page, pitch: str) -> None:
-    """Fly a step, and another one as soon as it is measured."""
+    """Fly a step of the pitch for a second and a half."""
     flown(page, press(page, pitch), lambda: True)
     page.wait_for_timeout(1500)
 
@@ -157,6 +157,7 @@ def test_a_gain_is_moved_flown_and_kept(by: str, lab_server: LabServer, open_pag
     armed(page)
     fly(page, "10°")
     fly(page, "0°")
+    expect(page.get_by_text(re.compile(r"flown at \d+\.\d s")).first).to_be_visible(timeout=LONG_MS)
     if by == "mouse":
         page.get_by_label("Send at release").check()
         slider.scroll_into_view_if_needed()

@@ -199,7 +199,7 @@ class PitchLaw:
         return tuning_preview(family, self.gains or self.controller, goal=goal, members=SURE)
 
     def step(self, family: PitchFamily, goal: float) -> dict[str, Any]:
-        """Return the band of a step of theta by `goal` [rad] alone, of fewer members: in a tenth of the time."""
+        """Return the band of a step of theta by `goal` [rad] alone, of fewer members, without margins and verdict."""
         made = promise(self.controller, family, goal=goal, members=QUICK, name="step")
         band = {side: _rounded(_cut(getattr(made, side))["theta"]) for side in ("low", "middle", "high")}
         return {"goal": goal, "level": LEVEL, "time": _rounded(made.time), "bands": {"theta": band}}
