@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.faults.virtual_time import VirtualLoop
 from tests.gcs.peer import Peer, flight
 from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ParameterError, Rejected, Timeout
@@ -83,6 +84,75 @@ async def test_undo_restores_what_the_drone_had(peer: Peer, drone: AsyncDrone) -
     await drone.parameters.update({"ATT_KP": 7.0})
     await drone.parameters.undo()
     assert peer.parameters["ATT_KP"] == 6.0
+
+
+def repeating(make: type[Peer]) -> Peer:
+    """Send each value twice, the second time just before the next one, as to a question that was repeated."""
+    peer, waiting = make(), []
+    within = peer.spoil
+
+    def spoil(number: int, sent: Any) -> list[Any] | None:
+        if sent.get_type() != "PARAM_VALUE":
+            return within(number, sent)
+        waiting.append(sent)
+        return waiting[-2:]
+
+    peer.spoil = spoil
+    return peer
+
+
+@pytest.mark.parametrize("make", [Peer, Foreign])
+@flight(repeating)
+async def test_late_answers_refuse_no_change(peer: Peer, drone: AsyncDrone, make: type[Peer]) -> None:
+    for value in (10.0, 9.0, 11.0):
+        made = await drone.parameters.update({"ATT_KP": value})
+        assert (made.after, peer.parameters["ATT_KP"]) == ({"ATT_KP": value}, value)
+
+
+@flight(Foreign)
+async def test_a_foreign_drones_other_value_is_a_refusal(peer: Peer, drone: AsyncDrone) -> None:
+    keep = {**peer.parameters}
+    peer.parameters = type("Fixed", (dict,), {"__setitem__": lambda *_: None})(keep)
+    with pytest.raises(Rejected, match="ATT_KP is 11 and not 6"):
+        await drone.parameters.set("ATT_KP", 6.0)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.3])
+@flight()
+async def test_a_program_that_stood_still_hears_the_answer(peer: Peer, drone: AsyncDrone, after: float) -> None:
+    peer.spoil = lambda number, sent: [sent] if loop.time() > asked + after else []
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    asked = loop.time()
+    loop.call_later(after, loop.stand_still, 8.0)
+    assert (await drone.parameters.update({"ATT_KP": 6.0})).after == {"ATT_KP": 6.0}
+
+
+@pytest.mark.parametrize("reports", ["in time", "late", "another value"])
+@flight()
+async def test_an_unconfirmed_change_is_known_by_its_values(peer: Peer, drone: AsyncDrone, reports: str) -> None:
+    """No COMMIT is answered; the drone reports the value meanwhile, or after the deadline."""
+
+    def spoil(_: int, sent: Any) -> list[Any]:
+        hidden = sent.get_type() == "PARAM_VALUE" and reports != "in time" and peer.parameters["ATT_KP"] != 11.0
+        return [] if hidden or getattr(sent, "action", 0) == 1 else [sent]
+
+    peer.spoil = spoil
+    if reports == "in time":
+        await drone.parameters.update({"ATT_KP": 6.0})
+    else:
+        with pytest.raises(Timeout, match="the drone may take it yet"):
+            await drone.parameters.update({"ATT_KP": 6.0})
+        with pytest.raises(Rejected, match="no change that could be undone"):
+            await drone.parameters.undo()
+        peer.spoil = lambda _, sent: [sent]
+        peer.parameters["ATT_KP"] += reports == "another value"
+        await drone.parameters.read("ATT_KP")
+    texts = [line.text for line in drone.messages]
+    assert texts == ["the drone has taken the late change of ATT_KP"] * (reports == "late")
+    if reports != "another value":
+        await drone.parameters.undo()
+        assert peer.parameters["ATT_KP"] == 11.0
 
 
 @flight()

@@ -155,6 +155,7 @@ class AsyncParameters:
         self._numbers = count(1)
         self._changing = asyncio.Lock()
         self._made: deque[SentChange] = deque(maxlen=UNDO_STEPS)
+        self._awaited: tuple[SentChange, dict[str, float]] | None = None  # not confirmed in time, and values on board
         session.on(self._told, "PARAM_VALUE")
         session.on(self._flies, "TWODOF_RIG")
 
@@ -175,10 +176,12 @@ class AsyncParameters:
     async def update(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> SentChange:
         """Set several parameters, all or none. Return the values before and after.
 
-        Raises ParameterError for a value out of bounds, Rejected, LinkLost, Timeout.
+        Raises ParameterError for a value out of bounds, Rejected, LinkLost, Timeout. If the drone reports the values
+        after a Timeout, a text says so, and `undo` takes them back.
 
-        A twodof drone changes them in one transaction, at one tick. On a plain PX4 earlier ones are set back if a later
-        one is refused. Several calls at once run one after the other.
+        A twodof drone changes them in one transaction, at one tick. Its number tells the answer from late ones to
+        earlier changes. On a plain PX4 earlier ones are set back if a later one is refused. Several calls at once run
+        one after the other.
         """
         if not changes:
             return SentChange({}, {})
@@ -190,22 +193,31 @@ class AsyncParameters:
         return made
 
     async def _update(self, changes: Mapping[str, float], deadline: Deadline) -> SentChange:
+        self._awaited = None
         names = [await self._on_board(name, deadline) for name in changes]
         # Not the known entries: the message of another client's change may be lost, and `undo` sets these values.
         entries = [await self._ask(name, deadline) for name in names]
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
         wanted = [(entry, checked(entry, value)) for entry, value in zip(entries, changes.values(), strict=True)]
-        if self._session.ours and len(wanted) > 1:
-            await self._together(wanted, deadline)
-        else:
-            await self._one_by_one(wanted, deadline)
         after = [float(value) if entry.kind == INT32 else _decimal(value) for entry, value in wanted]
+        before = [entry.value for entry in entries]
+        made = SentChange(dict(zip(changes, before, strict=True)), dict(zip(changes, after, strict=True)))
+        on_board = dict(zip(names, after, strict=True))
+        try:
+            await (self._together if self._session.ours else self._one_by_one)(wanted, deadline)
+        except Timeout:
+            if not self._has(on_board):
+                self._awaited = made, on_board
+                raise deadline.error("the drone may take it yet: look at the values, then set them again") from None
         for entry, value in zip(entries, after, strict=True):
             if entry.name in self.known:
                 self.known[entry.name] = entry._replace(value=value)
-        before = [entry.value for entry in entries]
-        return SentChange(dict(zip(changes, before, strict=True)), dict(zip(changes, after, strict=True)))
+        return made
+
+    def _has(self, values: Mapping[str, float]) -> bool:
+        """Return True if the drone's last messages have these values."""
+        return all(name in self.known and self.known[name].value == value for name, value in values.items())
 
     @property
     def last(self) -> SentChange:
@@ -330,19 +342,25 @@ class AsyncParameters:
             done.append((entry, value))
 
     async def _set(self, entry: ParameterEntry, value: float, deadline: Deadline) -> None:
+        asked, other = self._set_message(entry, value), None
+
+        def question(_: int) -> Any:
+            """Ask again unless another value was the last word: the answer to an earlier request may come first."""
+            if other is not None:
+                what = f"{entry.name} is {other:g} and not {value:g}"
+                raise Rejected(what, self._session.where, "read the drone's messages, then set it again")
+            return asked
+
         def accept(got: Any) -> bool | None:
+            nonlocal other
             if got.get_type() == "PARAM_ERROR":
                 self._refused(got, entry.name)
-                return None
-            if got.param_id != entry.name:
-                return None
-            if np.float32(entry_of(got).value) != np.float32(value):
-                what = f"{entry.name} is {entry_of(got).value:g} and not {value:g}"
-                raise Rejected(what, self._session.where, "read the drone's messages, then set it again")
-            return True
+            elif got.param_id == entry.name:
+                other = entry_of(got).value
+                return np.float32(other) == np.float32(value) or None
+            return None
 
-        asked = self._set_message(entry, value)
-        await self._session.ask(lambda _: asked, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
+        await self._session.ask(question, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
 
     async def _together(self, wanted: list[tuple[ParameterEntry, float]], deadline: Deadline) -> None:
         """Set several in one transaction, repeated until all have arrived; one number is done once only."""
@@ -466,6 +484,10 @@ class AsyncParameters:
         self._total = got.param_count
         if got.param_id != HASH and (got.param_id in self.known or len(self.known) < MOST):
             self.known[got.param_id] = self._entry(got)
+        if self._awaited is not None and self._has(self._awaited[1]):
+            made, self._awaited = self._awaited[0], None
+            self._made.append(made)
+            self._texts.note("notice", f"the drone has taken the late change of {listed(made.after, 3)}")
 
     def _entry(self, got: Any) -> ParameterEntry:
         return entry_of(got)._replace(described=self._described.get(got.param_id))
