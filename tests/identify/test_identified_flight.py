@@ -47,7 +47,23 @@ def test_the_view_is_json_and_its_curves_agree(doublet: IdentifiedFlight) -> Non
     for measured, model, residual in zip(q["measured"], q["greybox"], q["residual"], strict=True):
         assert measured - model == pytest.approx(residual, abs=1e-4)
     assert view["informative"]["enough"]
-    assert "mu to" in view["informative"]["text"]
+    assert "mu ±" in view["informative"]["text"]
+
+
+@pytest.mark.parametrize("said", [{"flown": {"virtual": True}}, {"drone": {"rig": "paper", "virtual": True}}])
+def test_true_values_stand_beside_the_estimates(logs: dict[str, FlightLog], said: dict[str, object]) -> None:
+    log = logs["doublet"]
+    ours = {key: value for key, value in log.provenance.items() if key != "rig" or "drone" not in said}
+    seen = identify_flight(FlightLog(log.channels, {**ours, **said}), structure="pitch-rate").view()
+    truth = {row["name"]: row["truth"] for row in seen["estimates"] if row["truth"] is not None}
+    assert truth == {"mu": pytest.approx(358.5), "tau": pytest.approx(0.02)}
+
+
+@pytest.mark.parametrize("said", [{}, {"flown": {"virtual": False}}, {"rig": "own", "flown": {"virtual": True}}])
+def test_no_true_values_unless_the_log_allows(logs: dict[str, FlightLog], said: dict[str, object]) -> None:
+    log = logs["impulse"]
+    seen = identify_flight(FlightLog(log.channels, {**log.provenance, **said})).view()
+    assert [row["truth"] for row in seen["estimates"]] == [None] * len(seen["estimates"])
 
 
 def test_its_model_is_what_design_reads(doublet: IdentifiedFlight) -> None:
@@ -99,9 +115,10 @@ def test_a_long_open_loop_uses_priors_of_poles() -> None:
 
 def test_a_window_without_range_samples_means_rings() -> None:
     dist = Channel(np.array([0.0, 0.05, 0.1, 0.15]), np.array([0.5, 0.5, 0.9, 0.5]))
-    log = FlightLog({"dist": dist}, {"rig": "paper"})
-    assert machine_of(log, 0.06, 0.09) == FlownMachine("paper", free=False)
-    assert machine_of(log, 0.04, 0.11) == FlownMachine("paper", free=True)
+    for said in ({"rig": "paper"}, {"drone": {"rig": "paper"}}):
+        log = FlightLog({"dist": dist}, said)
+        assert machine_of(log, 0.06, 0.09) == FlownMachine("paper", free=False)
+        assert machine_of(log, 0.04, 0.11) == FlownMachine("paper", free=True)
 
 
 def test_what_cannot_be_asked_is_refused(logs: dict[str, FlightLog]) -> None:

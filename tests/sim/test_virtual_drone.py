@@ -17,6 +17,7 @@ from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
 from twodof.link.mavlink.dialect import MavResult
+from twodof.rig.parameters import load_rig, save_rig
 from twodof.sim.virtual_drone import VirtualDrone
 
 pytestmark = pytest.mark.slow
@@ -40,6 +41,13 @@ def test_parameters_of_the_store_fly_and_are_there_after_a_restart(tmp_path: Pat
 
     asyncio.run(change())
     asyncio.run(look())
+
+
+def test_a_rig_file_never_has_a_ready_made_name(tmp_path: Path) -> None:
+    save_rig(load_rig("lab"), tmp_path / "paper.json")
+    drone = VirtualDrone(str(tmp_path / "paper.json"))
+    assert drone.rig.name == "own"
+    asyncio.run(drone.close())
 
 
 def test_what_was_kept_and_is_damaged_is_left_out_and_told(tmp_path: Path) -> None:

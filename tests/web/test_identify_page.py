@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,9 @@ def lab(built_page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     (folder / "flights").mkdir()
     laboratory = Laboratory("paper")
     for name in ("impulse", "doublet"):
-        write_log(laboratory.fly(name).log, folder / "flights" / f"2026-01-01-10-00-00-{name}.mcap")
+        log = laboratory.fly(name).log
+        said = {**log.provenance, "flown": {"virtual": True}}
+        write_log(replace(log, provenance=said), folder / "flights" / f"2026-01-01-10-00-00-{name}.mcap")
     with served_lab(folder) as found:
         yield found
 
@@ -38,9 +41,9 @@ def link(lab: ServedLab, query: str = "") -> str:
 
 
 def fitted(page: Page) -> None:
-    """Identify from the log that is chosen, and wait for what it tells."""
+    """Identify from the chosen log, and wait for the verdict."""
     page.get_by_role("button", name="Identify", exact=True).click()
-    expect(page.get_by_text("informative enough: it tells")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text("(95 % intervals)")).to_be_visible(timeout=LONG_MS)
 
 
 def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) -> None:
@@ -49,7 +52,8 @@ def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) 
     page.get_by_text("More", exact=True).click()
     page.get_by_label("Structure").select_option("pitch-rate")
     fitted(page)
-    expect(page.get_by_role("row", name=re.compile(r"^mu\b.* 358\.6"))).to_be_visible()
+    gain = page.get_by_role("row", name=re.compile(r"^mu\b.* 358\.6"))
+    expect(gain).to_contain_text(re.compile(r"358\.50*\s+●\s+in the interval"))
     expect(page.get_by_role("heading", name="Correlation of the estimates")).to_be_visible()
     expect(page.get_by_text("By hand, step by step")).to_be_visible()
     assert axe(page) == []

@@ -301,6 +301,7 @@ async def record(
     about: dict[str, object] = {
         "autopilot": drone.state.autopilot,
         "rig": rig.name,
+        "virtual": rig.virtual,
         "controller": rig.controller,
         "diagram": f"{rig.diagram:016x}",
         "seed": rig.seed,

@@ -22,6 +22,7 @@ from twodof.identify.ready_made import (
     by_output_error,
     experiment_in,
     machine_of,
+    reference_values,
     structure_for,
     sufficiency,
 )
@@ -43,7 +44,7 @@ class IdentifiedFlight:
     """Models of one flight: the `greybox` fit, the paper's `simple` method beside it, and the `record` of both.
 
     `simple` is None where nothing can be read by hand, and `refusal` says why. `validation` are the records of other
-    flights that the fit was checked on.
+    flights that the fit was checked on. `truth` has true values of a virtual rig by unknown, as far as the log allows.
     """
 
     experiment: str
@@ -53,6 +54,7 @@ class IdentifiedFlight:
     greybox: Estimate
     simple: SimplePitch | SimpleVelocity | None
     refusal: str
+    truth: Mapping[str, float]
 
     @property
     def sufficiency(self) -> Sufficiency:
@@ -111,6 +113,7 @@ class IdentifiedFlight:
             "local": label in found.local,
             "sum": label in found.summed,
             "simple": by_hand,
+            "truth": self.truth.get(label),
         }
 
     def _text(self, label: str) -> str:
@@ -187,7 +190,9 @@ def identify_flight(
         simple = by_hand(kind, record, checks, free)
     except (IdentificationError, LogError) as reason:
         refusal = str(reason)
-    return IdentifiedFlight(kind, shape, record, tuple(fitted[len(fitted) - len(checks) :]), found, simple, refusal)
+    unseen = tuple(fitted[len(fitted) - len(checks) :])
+    truth = reference_values(log, kind, record.start, float(record.time[-1]))
+    return IdentifiedFlight(kind, shape, record, unseen, found, simple, refusal, truth)
 
 
 def _output(

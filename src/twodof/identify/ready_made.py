@@ -22,7 +22,7 @@ from twodof.identify.validate import deviations
 from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_on_cart, pitch_rate, rail, velocity
 from twodof.rig.parameters import NAMES, load_rig
-from twodof.rig.steady_state import cart_parameters, model_parameters
+from twodof.rig.steady_state import cart_parameters, model_parameters, moment_gain
 
 POLES_BEFORE: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.05, 0.05)})
 """What the real drone's logs tell of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
@@ -96,10 +96,32 @@ def machine_of(log: FlightLog, start: float, stop: float) -> FlownMachine:
 
     A log that names no virtual rig is one of the real drone, whose calibration is `lab`.
     """
-    rig = log.provenance.get("rig")
     seen = log["dist"].slice(start, stop).value if "dist" in log else np.zeros(0)
     moved = seen.size > 0 and float(np.ptp(seen)) > _MOVED_M
-    return FlownMachine(rig if isinstance(rig, str) and rig in NAMES else _REAL, moved)
+    rig, _ = _rig_in(log)
+    return FlownMachine(rig or _REAL, moved)
+
+
+def _rig_in(log: FlightLog) -> tuple[str | None, bool]:
+    """Return the known rig that a flight's or a recording's log names, and whether the log says that it was virtual."""
+    own = log.provenance
+    tables = [own, *(table for key in ("flown", "drone") if isinstance(table := own.get(key), dict))]
+    named = next((rig for table in tables if isinstance(rig := table.get("rig"), str)), None)
+    return named if named in NAMES else None, any(table.get("virtual") is True for table in tables)
+
+
+def reference_values(log: FlightLog, experiment: str, start: float, stop: float) -> dict[str, float]:
+    """Return the true values of an experiment's `PURPOSE` if its log says that the rig was virtual; else none.
+
+    mu is that at the thrust from `start` to `stop` [s].
+    """
+    name, virtual = _rig_in(log)
+    thrust = log["T"].slice(start, stop).value if "T" in log else np.zeros(0)
+    if name is None or not virtual or not thrust.size or not np.isfinite(thrust).all():
+        return {}
+    rig = load_rig(name).snapshot()
+    known = {**model_parameters(rig), "mu": moment_gain(rig, float(np.mean(thrust)))}
+    return {unknown: known[unknown] for unknown in PURPOSE[experiment]}
 
 
 TOLD = 0.25
@@ -133,10 +155,10 @@ class Sufficiency:
     @property
     def text(self) -> str:
         """In a sentence."""
-        known = ", ".join(f"{name} to {100.0 * share:.2g} %" for name, share in self.shares.items())
-        doubt = "" if self.trusted else ". But the residual wanders, so these are too small: fly it again and compare"
+        known = ", ".join(f"{name} ± {100.0 * share:.2g} %" for name, share in self.shares.items())
+        doubt = "" if self.trusted else ". But the residual wanders, so these are too narrow: fly it again and compare"
         if self.enough:
-            return f"informative enough: it tells {known}{doubt}"
+            return f"informative enough: {known} (95 % intervals){doubt}"
         return f"not informative enough: {'; '.join(self.reasons)}{doubt}"
 
 

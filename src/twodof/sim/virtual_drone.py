@@ -22,7 +22,7 @@ from twodof.fcu.server import Server
 from twodof.link.mavlink.dialect import PROFILES
 from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
-from twodof.rig.parameters import lab, load_rig
+from twodof.rig.parameters import NAMES, lab, load_rig
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 from twodof.sim.closed_loop import SETTLE_STEPS, InitialState, covariances
 
@@ -215,6 +215,8 @@ class VirtualDrone:
     ) -> None:
         parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         name = "own" if isinstance(rig, ParameterSet) else Path(rig).stem
+        if name in NAMES and str(rig) != name:
+            name = "own"  # a file must not pass for the ready-made rig of its name
         self.rig = VirtualRig(parameters, conditions, precision, name, safety_off)
         uploads, kept = (None, None) if state is None else (state / "controllers", state / "flying")
         chosen = Controllers(controllers, trusted, uploads, kept, position_filter, precision, fuel)

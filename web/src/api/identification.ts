@@ -79,6 +79,8 @@ export interface EstimateRow {
   sum: boolean;
   /** Result of the simple method. */
   simple: number | null;
+  /** Value of the virtual rig that flew, if the log names one. */
+  truth: number | null;
 }
 
 export interface OutputCurves {
