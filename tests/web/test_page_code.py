@@ -213,6 +213,7 @@ def _flight(seed: int, loop: str) -> dict[str, Any]:
     # x and v come less often than the rows: at 100 Hz, so two of five.
     sparse = np.isin(np.arange(time.size) % 5, (0, 2))
     rare = {"estimate.x", "estimate.v"}
+    changes = [float(time[1000]), float(time[2200])]
     names = {
         **CHANNELS,
         **{f"estimate.{one}": one for one in FOLLOWING.values()},
@@ -225,11 +226,13 @@ def _flight(seed: int, loop: str) -> dict[str, Any]:
             for name, one in columns.items()
             if name in names
         }
-        | {"safety": Channel(time, np.column_stack([action] * 3), "", SAFETY, "safety")}
+        | {"safety": Channel(time, np.column_stack([action] * 3), "", SAFETY, "safety")},
+        provenance={"changes": [[at, "RATE_KP", 0.1] for at in changes]},
     )
     return {
         "name": f"{loop} {seed}",
         "time": time.tolist(),
+        "changes": changes,
         "columns": {
             name: [
                 value if name not in rare or there else None for value, there in zip(one.tolist(), sparse, strict=True)

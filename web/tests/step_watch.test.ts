@@ -21,6 +21,8 @@ interface Case {
   /** A column that comes less often than the rows has null in some. */
   columns: Record<string, (number | null)[]>;
   time: number[];
+  /** Times at which parameters changed. */
+  changes: number[];
   found: Found[];
 }
 
@@ -34,6 +36,7 @@ function watched(one: Case, batch: number): StepWatch {
   const names = Object.keys(one.columns);
   const history = new History(names, 1 << 14);
   const watch = new StepWatch(history);
+  one.changes.forEach((time) => history.noteChange(time));
   for (let k = 0; k < one.time.length; k += batch) {
     const columns = names.map((name) => one.columns[name]!.slice(k, k + batch).map((value) => value ?? NaN));
     history.append({ time: one.time.slice(k, k + batch), columns });

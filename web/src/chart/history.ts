@@ -32,8 +32,10 @@ export class History {
   private begin = 0;
   /** Unix time [s] at which the newest rows were sent. */
   sent = NaN;
-  /** Number of restarts of the drone. Earlier rows are dropped. */
+  /** Number of restarts of the drone. Earlier rows and changes are dropped. */
   restarts = 0;
+  /** Times [s] at which parameters of the drone were changed. */
+  changes: number[] = [];
 
   constructor(
     readonly names: readonly string[],
@@ -80,6 +82,7 @@ export class History {
         if (!(now < this.newest - RESTARTED)) continue;
         this.begin = this.next;
         this.restarts += 1;
+        this.changes = [];
       }
       this.times[this.next % this.capacity] = now;
       for (let c = 0; c < this.columns.length; c += 1) this.columns[c]!.put(this.next, columns[c]?.[k] ?? NaN);
@@ -87,6 +90,11 @@ export class History {
     }
     this.sent = sent;
     for (const tell of this.listeners) tell();
+  }
+
+  /** Note that parameters of the drone have changed at `time` [s], by default now. */
+  noteChange(time = this.newest): void {
+    if (Number.isFinite(time)) this.changes.push(time);
   }
 
   /** Return the first row at or after `time` [s]. */

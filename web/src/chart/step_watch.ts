@@ -23,7 +23,7 @@ export interface FlownStep extends Step {
   over: boolean;
   /** Number of responses of which `figures.settling` is that of the mean. */
   averaged: number;
-  /** Changes of parameters before it, in this flight. */
+  /** Changes of parameters before it, in this flight: only steps under the same parameters are averaged. */
   changes: number;
   response: Response;
 }
@@ -42,7 +42,6 @@ export class StepWatch {
   private restarts = 0;
   private run = new Map<ControlLoop, Level>();
   private held = new Map<ControlLoop, Level>();
-  private changes: number[] = [];
 
   constructor(
     private readonly history: History,
@@ -63,16 +62,10 @@ export class StepWatch {
     return this.steps;
   }
 
-  /** Note that parameters have changed now: steps before and after it are not averaged. */
-  changed(): void {
-    if (this.history.length) this.changes.push(this.history.newest);
-  }
-
   clear(): void {
     this.steps = [];
     this.run.clear();
     this.held.clear();
-    this.changes = [];
     this.read = this.history.first;
     this.restarts = this.history.restarts;
   }
@@ -95,7 +88,7 @@ export class StepWatch {
     this.end(loop, run.time);
     const figures = stepFigures([], [], before.value, value);
     const found = { loop, time: run.time, before: before.value, after: value, end: Infinity };
-    const changes = this.changes.filter((one) => one <= run.time).length;
+    const changes = this.history.changes.filter((one) => one <= run.time).length;
     const response = { since: [], share: [], length: 0 };
     const step = { ...found, figures, peakMoment: NaN, over: false, averaged: 1, changes, response };
     this.steps = [...this.steps, step].slice(-this.kept);
@@ -134,8 +127,9 @@ export class StepWatch {
     }
     if (values.length < 2) return { ...step, end };
     const figures = stepFigures(since, values, step.before, step.after);
-    const over = until < Math.min(end, history.newest);
-    const now = over ? { ...step, end: until } : { ...step, end };
+    // The next level counts from its first row, which is known only once it was held.
+    const over = until < Math.min(end, history.newest - HELD);
+    const now = { ...step, end: over || end < Infinity ? until : end };
     const share = values.map((value) => (value - step.before) / (step.after - step.before));
     const length = Math.min(until, history.newest) - step.time;
     return { ...now, figures, peakMoment: peakMoment(times, moments, now), over, response: { since, share, length } };

@@ -1,4 +1,5 @@
 // Charts of a drone as it flies: what they show, and the latest rows of it.
+import type { Rows } from "../api/rows";
 import { telemetry } from "../api/telemetry";
 import { History } from "../chart/history";
 import { DEGREES, type Panel } from "../chart/kinds";
@@ -26,12 +27,30 @@ export const MOMENT: Panel = {
 };
 
 /**
+ * Keep the rows of a drone, `rate` [Hz] a second, and the times of changed parameters in its history. Returns a function
+ * that ends it.
+ */
+export function keepHistory(history: History, drone: number, rate: number, also?: (rows: Rows) => void): () => void {
+  const rows = telemetry.subscribe(drone, history.names, rate, (these) => {
+    history.append(these);
+    also?.(these);
+  });
+  const events = telemetry.onEvent((event) => {
+    if (event.event === "parameters" && event.drone === drone) history.noteChange();
+  });
+  return () => {
+    rows();
+    events();
+  };
+}
+
+/**
  * The latest `kept` rows of what these panels show of a drone, `rate` [Hz] a second, for as long as the component lives
  * that asks for it.
  */
 export function liveHistory(drone: () => number, panels: readonly Panel[], rate: number, kept: number): History {
   const columns = panels.flatMap((panel) => panel.channels.map((one) => one.column));
   const history = new History(columns, kept);
-  $effect(() => telemetry.subscribe(drone(), history.names, rate, (rows) => history.append(rows)));
+  $effect(() => keepHistory(history, drone(), rate));
   return history;
 }

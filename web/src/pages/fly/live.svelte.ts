@@ -1,7 +1,7 @@
 import { request } from "../../api/client";
-import { telemetry } from "../../api/telemetry";
 import { History } from "../../chart/history";
 import { STEP_COLUMNS } from "../../chart/step_watch";
+import { keepHistory } from "../../state/live_panels.svelte";
 
 const TRUTH = ["truth.theta", "truth.x"] as const;
 const COLUMNS = [...STEP_COLUMNS, "setpoint.thrust", "command.T"];
@@ -29,9 +29,8 @@ export class Live {
   /** Start; returns a function that stops it. */
   start(): () => void {
     let dropped = 0;
-    const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => {
+    const stop = keepHistory(this.history, this.drone, RATE_HZ, (rows) => {
       dropped = rows.dropped;
-      this.history.append(rows);
     });
     const timer = setInterval(() => {
       if (this.history.length === 0 || document.hidden) return;

@@ -1,15 +1,18 @@
 import { identificationChoices } from "../../api/identification";
 import { telemetry } from "../../api/telemetry";
-import { measuredSteps, type MeasuredStep } from "../../api/tuning";
+import { measuredSteps, type MeasuredStep, type ParameterRow } from "../../api/tuning";
 import { History } from "../../chart/history";
 import { STEP_COLUMNS, StepWatch, type FlownStep } from "../../chart/step_watch";
+import { figure } from "../../chart/numbers";
+import { keepHistory } from "../../state/live_panels.svelte";
 import { scaledStep, type ScaledStep } from "./flown_steps";
 
 const RATE_HZ = 250;
 const LOOK_MS = 300;
 const SHOWN = 4;
+const NAMED = 3;
 
-/** Steps of theta: flown while the page is open, or of the latest log. */
+/** Steps of theta, named by the gains in which they differ: flown while the page is open, or of the latest log. */
 export class MeasuredSteps {
   shown = $state(true);
   private live = $state.raw<readonly FlownStep[]>([]);
@@ -17,16 +20,25 @@ export class MeasuredSteps {
   private log = $state("");
   private readonly history = new History([...new Set(STEP_COLUMNS)]);
   private readonly watch = new StepWatch(this.history);
+  /** Values of the parameters by the number of their changes in this flight. */
+  private values: ReadonlyMap<string, number>[] = [];
 
-  constructor(private readonly drone: number) {}
+  constructor(
+    private readonly drone: number,
+    private readonly rows: () => readonly ParameterRow[],
+  ) {}
 
   /** Start; returns a function that stops it. */
   start(): () => void {
-    const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => this.history.append(rows));
+    const stop = keepHistory(this.history, this.drone, RATE_HZ);
     const events = telemetry.onEvent((event) => {
       if (event.event === "log") void this.read(event.name);
     });
-    const timer = setInterval(() => (this.live = this.watch.update()), LOOK_MS);
+    const timer = setInterval(() => {
+      const rows = this.rows().filter((row) => row.same_as === "");
+      this.values[this.history.changes.length] = new Map(rows.map((row) => [row.name, row.value]));
+      this.live = this.watch.update();
+    }, LOOK_MS);
     void this.readLatest();
     return () => {
       stop();
@@ -37,11 +49,10 @@ export class MeasuredSteps {
 
   scaled(goal: number): ScaledStep[] {
     if (!this.shown) return [];
-    const steps = this.live.filter((step) => step.loop.loop === "theta");
+    const steps = this.live.filter((step) => step.loop.loop === "theta").slice(-SHOWN);
     if (steps.length > 0)
       return steps
-        .slice(-SHOWN)
-        .map((step) => scaledStep(this.history, step, goal, `flown at ${step.time.toFixed(1)} s`))
+        .map((step) => scaledStep(this.history, step, goal, this.labelOf(step, steps)))
         .filter((step) => step !== undefined);
     return this.logged.slice(-SHOWN).map((step) => ({
       label: `flown at ${step.at.toFixed(1)} s`,
@@ -50,9 +61,20 @@ export class MeasuredSteps {
     }));
   }
 
+  private labelOf(step: FlownStep, steps: readonly FlownStep[]): string {
+    const own = this.values[step.changes] ?? new Map<string, number>();
+    const differ = [...own].filter(([name, value]) =>
+      steps.some((other) => (this.values[other.changes]?.get(name) ?? value) !== value),
+    );
+    const gains = differ.slice(0, NAMED).map(([name, value]) => `${name} ${figure(value, 3)}, `);
+    return `${gains.join("")}flown at ${step.time.toFixed(1)} s`;
+  }
+
   get text(): string {
     if (this.live.some((step) => step.loop.loop === "theta")) return "as they were flown just now";
-    return this.logged.length > 0 ? `of ${this.log}` : "none flown yet: set steps of the pitch on the Fly page";
+    return this.logged.length > 0
+      ? `of ${this.log}`
+      : "none flown yet: arm, and press the steps below one after the other";
   }
 
   private async readLatest(): Promise<void> {
