@@ -69,9 +69,11 @@ def anchors(text: str) -> set[str]:
 def broken_links(page: Path) -> Iterator[str]:
     """Relative links and pictures of a Markdown page that lead nowhere; the network is not asked."""
     text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(), flags=re.DOTALL)
-    for target in re.findall(r"\]\(([^)\s]+)[^)]*\)", text):
+    for label, target in re.findall(r"(?<=\[)([^\[\]]*)\]\(([^)\s]+)[^)]*\)", text):
         if re.match(r"[a-z]+:", target):
             continue
+        if re.fullmatch(r"[\w./]+\.\w+", label) and not target.endswith(label):
+            yield f"{page.name}: {label} leads to {target}"
         path, _, anchor = target.partition("#")
         file = (page.parent / path) if path else page
         if not file.exists():
@@ -87,8 +89,14 @@ def test_no_link_is_broken(page: Path) -> None:
 
 def test_a_broken_link_is_found(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("# A b\n[ok](#a-b) [ok](page.md#a-b) [x](nowhere.md) ![y](#c) `[z](code.md)` [w](https://a.b)\n")
-    assert list(broken_links(page)) == ["page.md: nowhere.md", "page.md: #c (no such heading)"]
+    page.write_text(
+        "# A b\n[ok](#a-b) [ok](page.md#a-b) [x](nowhere.md) ![y](#c) `[z](code.md)` [w](https://a.b) [b.md](page.md)\n"
+    )
+    assert list(broken_links(page)) == [
+        "page.md: nowhere.md",
+        "page.md: #c (no such heading)",
+        "page.md: b.md leads to page.md",
+    ]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(PROJECT)))

@@ -41,7 +41,7 @@ def test_a_controller_is_tuned_from_the_shell(
         assert (row["name"], row["path"], row["value"], row["high"], row["unit"]) == (NAME, PATH, 0.2, 1.0, "s/rad")
 
         kept = tmp_path / "mine.params"
-        said("--save", str(kept))
+        assert "ATT_KP" not in said("--save", str(kept)), "the file has them all"
         assert "is there already" in said("--save", str(kept), status=2)
         assert re.search(r"^1\t1\tRATE_KP\t0\.07\d*\t9$", kept.read_text(), re.MULTILINE)  # as QGroundControl has it
         said("RATE_KP=0.06")

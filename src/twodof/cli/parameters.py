@@ -53,12 +53,14 @@ def parameters(
             _print_loaded(len(differs), missing)
             if file.system not in (0, own := there.there.session.system):
                 typer.echo(f"note: the file is of vehicle {file.system}, this is vehicle {own}", err=True)
-        rows = _rows(there, names, changes, described) if names or file is None else []
+        every = file is None and (save is None or changed or json)
+        rows = _rows(there, names, changes, described) if names or every else []
         if save is not None:
             entries = there.parameters.all().values()
             with atomic_write(save, "w") as out:
                 out.write(ParameterFile.of(entries, there.there.session.system).text())
-    if file is not None and not rows and not json:
+            typer.echo(f"written: {save}", err=True)
+    if not (rows or every or json):
         return
     if changed:
         rows = [row for row in rows if row["default"] is not None and row["value"] != row["default"]]
