@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -176,3 +177,25 @@ def test_make_works_in_a_folder_with_spaces(tmp_path: Path, target: str) -> None
     assert done.returncode == 0, done.stderr
     step = "build" if target in ("web", "demo") else target
     assert f"2|{folder}/.venv/bin/python|{step}" in machine.calls.read_text().splitlines()
+
+
+def test_building_the_page_follows_no_link_outside(tmp_path: Path) -> None:
+    """Anybody may lay a link into the temporary folder: opening it for a lock would empty the file behind it."""
+    web, shared, kept = tmp_path / "web", tmp_path / "shared", tmp_path / "kept"
+    (web / "node_modules").mkdir(parents=True)
+    (tmp_path / "tools").mkdir()
+    shared.mkdir()
+    shutil.copy(PROJECT / "tools" / "web.sh", tmp_path / "tools")
+    for place in ("package-lock.json", "node_modules/installed-lock.json"):
+        (web / place).write_text("{}")
+    kept.write_text("mine")
+    mark = hashlib.sha256(f"{web}\n".encode()).hexdigest()[:16]
+    (shared / f"twodof-web-{mark}.lock").symlink_to(kept)
+    machine = Machine(tmp_path, (), root=False, apt=None)
+    for name in ("node", "npm", "npx"):
+        machine.write(name, "exit 0")
+    environment = {**os.environ, "PATH": f"{machine.bin}:{os.environ['PATH']}", "TMPDIR": str(shared)}
+    command = ["bash", str(tmp_path / "tools" / "web.sh"), sys.executable, "test"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert (done.returncode, done.stderr, kept.read_text()) == (0, "", "mine")
+    assert len([*shared.iterdir()]) == 1

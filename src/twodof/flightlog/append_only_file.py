@@ -142,7 +142,8 @@ class AppendOnlyFile(ABC):
 
     def _check(self) -> None:
         if self.failure is not None:
-            raise RecordingError(self.failure.what, self.failure.where, self.failure.remedy)
+            failure = self.failure
+            raise RecordingError(failure.what, failure.where, failure.remedy) from failure.__cause__
 
     def _silent(self, deadline_s: float) -> RecordingError:
         return RecordingError(
@@ -227,6 +228,7 @@ class AppendOnlyFile(ABC):
             str(self.path),
             "make room and start another recording",
         )
+        failure.__cause__ = refusal
         for part in (self._ending(), b""):
             try:
                 os.ftruncate(self._descriptor, there.position)

@@ -80,8 +80,20 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 REFUSED, NOT_THERE, MALFORMED, TOO_LATE, DISK_FULL = 409, 404, 422, 504, 507
 _FOLDERS = re.compile(r"(?<![\w:/.~])/(?!api/)(?=\S)(?:[^/\n:]*/)+")
 _MOST_MISTAKES = 3
+
+
+class NotThere(TwodofError):
+    """Error for a drone, a log or a job that does not exist."""
+
+
+class DiskFull(TwodofError):
+    """Error for a full disk of the server."""
+
+
 _STATUS: Mapping[type[TwodofError], int] = MappingProxyType(
     {
+        NotThere: NOT_THERE,
+        DiskFull: DISK_FULL,
         Timeout: TOO_LATE,
         LinkLost: TOO_LATE,
         DownloadError: TOO_LATE,
@@ -114,10 +126,6 @@ DESCRIPTIONS: Mapping[int, str] = MappingProxyType(
 )
 
 
-class NotThere(TwodofError):
-    """Error for a drone, a log or a job that does not exist."""
-
-
 class Refused(HTTPException):
     """Refusal of a request for its sender, origin or size, with its remedy; the connection is closed."""
 
@@ -136,20 +144,20 @@ class Refusal(BaseModel):
 
 def status_of(error: TwodofError) -> int:
     """Return the HTTP status: 404 not there, 409 refused, 504 too late, 507 disk full, 422 can never work."""
-    if isinstance(error, NotThere):
-        return NOT_THERE
-    if disk_is_full(error):
-        return DISK_FULL
-    return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), MALFORMED)
+    kind = type(full_disk(error) or error)
+    return next((status for one, status in _STATUS.items() if issubclass(kind, one)), MALFORMED)
 
 
-def disk_is_full(error: BaseException | None) -> bool:
-    """Return True if a full disk is the cause of an error."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__
-    return False
+def full_disk(error: BaseException) -> DiskFull | None:
+    """Return the error for a client if a full disk is the cause of `error`."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+            if isinstance(error, TwodofError):
+                return DiskFull(error.what, error.where, error.remedy)
+            return DiskFull("the disk of the server is full", "", "make room, then try again")
+        cause = cause.__cause__
+    return None
 
 
 def without_folders(text: str) -> str:
@@ -179,10 +187,9 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(OSError)
     async def disk(request: Request, error: OSError) -> Response:
-        if not disk_is_full(error):
+        if (full := full_disk(error)) is None:
             raise error
-        said = {"what": "the disk is full", "where": request.url.path[:200], "remedy": "make room, then try again"}
-        return FiniteJSON(said, DISK_FULL)
+        return await ours(request, full)
 
     @app.exception_handler(RequestValidationError)
     async def malformed(_: Request, error: RequestValidationError) -> Response:

@@ -29,14 +29,13 @@ from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly
 from twodof.flight.starters import save_diagram
 from twodof.flightlog.atomic import check_free, make_folder, numbered
-from twodof.flightlog.files import write_log
+from twodof.flightlog.files import read_log, write_log
 from twodof.gcs.drone import Drone
 from twodof.identify.experiments import KINDS as IDENTIFIED
 from twodof.identify.identified_flight import identify_flight
 from twodof.identify.ready_made import FLOWN_AS
 from twodof.lab.answers import RequestBody
 from twodof.lab.excitation_work import excitation_of
-from twodof.lab.log_work import named_log
 from twodof.rig.parameters import NAMES
 
 Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
@@ -194,9 +193,9 @@ def identify(
 ) -> dict[str, Any]:
     """Identify a model from a log; return the `view` of the fit for the page, and the `model` as it is kept."""
     progress(0.05, "reading the log")
-    log = named_log(path)
-    free = None if impulse is None else named_log(impulse)
-    checks = [named_log(other) for other in others]
+    log = read_log(path)
+    free = None if impulse is None else read_log(impulse)
+    checks = [read_log(other) for other in others]
     progress(0.2, "searching the model")
     found = identify_flight(
         log, kind, structure=structure, impulse=free, others=checks, window=window, disturbance=disturbance

@@ -8,7 +8,9 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from shutil import rmtree
 from stat import S_ISREG
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -191,7 +193,7 @@ class LogShelf:
         self._others = tuple(others)
 
     def listed(self) -> list[dict[str, Any]]:
-        """List the logs, the latest first; `folder` is "" for the own folder, `changed` in seconds of Unix time."""
+        """List the logs, the latest first; `folder` is "" for the own one, `changed` in seconds of Unix time."""
         rows = [row for number, folder in enumerate(self._folders()) for row in self._rows(number, folder)]
         return sorted(rows, key=lambda row: -float(row["changed"]))
 
@@ -237,15 +239,15 @@ class LogShelf:
         if len(self._rows(0, self.folder)) >= MOST:
             raise Rejected(f"there are {MOST} logs already", "logs", "delete some")
 
-    def scratch(self) -> Path:
-        """Return the folder of files in transfer, without the old files of a killed server."""
+    def scratch(self) -> TemporaryDirectory[str]:
+        """Return a new folder for a file in transfer, and remove the old ones of a killed server."""
         folder = self.folder / ".scratch"
         make_folder(folder)
-        for path in folder.iterdir():
+        for left in folder.iterdir():
             with suppress(OSError):  # the end of another transfer has removed it
-                if time.time() - path.stat().st_mtime > _LEFT_S:
-                    path.unlink()
-        return folder
+                if time.time() - left.stat().st_mtime > _LEFT_S:
+                    rmtree(left)
+        return TemporaryDirectory(dir=folder, ignore_cleanup_errors=True)
 
     def take_in(self, path: Path, name: str) -> str:
         """Move an uploaded log to its place; return its name, numbered if that is taken."""
@@ -264,7 +266,7 @@ class LogShelf:
                 if not is_log(path.name) or not S_ISREG(found.st_mode):
                     continue
                 name = f"{number}:{path.name}" if number else path.name
-                row = {"name": name, "file": path.name, "folder": str(folder) if number else "", "bytes": found.st_size}
+                row = {"name": name, "file": path.name, "folder": folder.name if number else "", "bytes": found.st_size}
                 rows.append(row | {"changed": found.st_mtime, "notes": self._notes(path).is_file()})
         return sorted(rows, key=lambda row: -float(row["changed"]))[:MOST]
 

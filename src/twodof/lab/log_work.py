@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections import OrderedDict
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -33,23 +32,6 @@ MOST_BYTES = 96 << 20
 _KEPT: OrderedDict[tuple[str, int, int], FlightLog] = OrderedDict()
 
 
-def named_log(path: str) -> FlightLog:
-    """Read the log in a file. Raises LogError, which names the file but not the server's folder."""
-    with _named(path):
-        return read_log(path)
-
-
-@contextmanager
-def _named(path: str) -> Iterator[None]:
-    """Raise a LogError of the block again with the file's name in place of its path."""
-    name = Path(path).name
-    try:
-        yield
-    except LogError as reason:
-        said = (text.replace(path, name) for text in (reason.what, reason.where, reason.remedy))
-        raise LogError(*said) from reason
-
-
 def kept_log(path: str) -> FlightLog:
     """Return the log in a file, kept in memory until the file changes. Raises LogError."""
     try:
@@ -62,7 +44,7 @@ def kept_log(path: str) -> FlightLog:
         return _KEPT[key]
     while _KEPT and sum(size for *_, size in _KEPT) + found.st_size > MOST_BYTES:
         _KEPT.popitem(last=False)
-    log = named_log(path)
+    log = read_log(path)
     if found.st_size <= MOST_BYTES:
         _KEPT[key] = log
     return log
@@ -231,8 +213,7 @@ def converted(path: str, target: str) -> dict[str, Any]:
 
 def recovered(path: str, target: str) -> dict[str, Any]:
     """Write the sound parts of a damaged recording into a new file. Raises LogError if nothing of it can be read."""
-    with _named(path):
-        found = recover(path)
+    found = recover(path)
     found.write(target)
     return {"samples": found.samples, "what": list(found.what)}
 

@@ -25,7 +25,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 
 from twodof.errors import DiagramError, Rejected, Timeout, TwodofError
 from twodof.lab.access import CLIENT, LabClient, Role
-from twodof.lab.answers import NotThere, dumps, refusal_of
+from twodof.lab.answers import DiskFull, NotThere, dumps, full_disk, refusal_of
 from twodof.lab.turns import Turns
 
 WARM = ("twodof.lab.diagram_work", "twodof.lab.flights", "twodof.lab.log_work", "scipy.linalg", "scipy.optimize")
@@ -55,7 +55,7 @@ _Request: TypeAlias = tuple[Callable[..., object], tuple[Any, ...], bool]
 
 
 def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> None:
-    """Answer each request by ("done", JSON text) or ("failed", what, where, remedy).
+    """Answer each request by ("done", JSON text) or ("failed", True for a full disk, what, where, remedy).
 
     The first request comes when the process starts: only then its arguments may be events shared between processes.
     """
@@ -84,13 +84,14 @@ def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> N
     while True:
         try:
             talk.send(("done", dumps(work(progress, *arguments) if reports else work(*arguments))))
-        except TwodofError as error:
-            talk.send(("failed", error.what, error.where, error.remedy))
         except (MemoryError, RecursionError):
-            talk.send(("failed", "the memory of this computer does not suffice", "", "ask for less"))
+            talk.send(("failed", False, "the memory of this computer does not suffice", "", "ask for less"))
         except Exception as fault:  # noqa: BLE001  the next question may be a good one
+            full = full_disk(fault)
             text = f"a fault of the program: {type(fault).__name__}: {fault}"[:1000]
-            talk.send(("failed", text, "", "report it"))
+            own = fault if isinstance(fault, TwodofError) else TwodofError(text, "", "report it")
+            error = full or own
+            talk.send(("failed", full is not None, error.what, error.where, error.remedy))
         try:
             work, arguments, reports = talk.recv()
         except (EOFError, OSError):  # the server has ended
@@ -153,8 +154,8 @@ class _WorkProcess:
                     await asyncio.shield(self.close())
         if kind == "done":
             return json.loads(rest[0])
-        what, where, remedy = rest
-        raise self._failure(what, where or self._where, remedy)
+        full, what, where, remedy = rest
+        raise (DiskFull if full else self._failure)(what, where or self._where, remedy)
 
     async def close(self) -> None:
         """End the process."""

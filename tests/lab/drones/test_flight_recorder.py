@@ -39,6 +39,7 @@ class _Flown:
         self.told: list[str] = []
         self.failed: list[str] = []
         self.seen: set[str] = set()
+        self.named: set[str] = set()
         self.last = ""
         self._each = each
         self._folder, self._seconds, self._telemetry, self._rests = folder, seconds, telemetry, rests
@@ -67,6 +68,7 @@ class _Flown:
 
     async def _look(self, recorder: FlightRecorder) -> None:
         while True:
+            self.named |= {recorder.name} - {""}
             for path in self._folder.glob("*.mcap"):
                 self.seen.add(path.name)
                 if path.name not in (recorder.name, *self.told):
@@ -97,16 +99,36 @@ def test_a_flight_that_records_itself_is_not_recorded_again(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_recording_is_named_once_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("room", [0, 2000])
+def test_a_full_disk_is_said_once(room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recording is tried again, with `room` for a file's beginning or without, and leaves nothing behind."""
     write, begun = os.write, time.monotonic()
 
     def full(descriptor: int, data: bytes) -> int:
-        if time.monotonic() > begun + 0.5:
+        if time.monotonic() > begun + 0.5 and os.fstat(descriptor).st_size + len(data) > room:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return write(descriptor, data)
 
     monkeypatch.setattr("twodof.flightlog.append_only_file.os.write", full)
-    flown = _Flown(tmp_path, 3.0, telemetry=True, each=lambda: time.sleep(0.05))
+    flown = _Flown(tmp_path, 12.0, telemetry=True, each=lambda: time.sleep(0.03))
     assert flown.last == ""
-    assert any("No space left" in line for line in flown.failed)
-    assert not any(str(tmp_path) in line for line in flown.failed)
+    assert len(flown.named) == len(flown.told) == len([*tmp_path.iterdir()]) == 1
+    (line,) = flown.failed
+    assert line.startswith("this flight is not being recorded: the disk refused: No space left on device")
+    assert line.endswith("It is tried every 5 s: make room on the server's disk")
+    assert str(tmp_path) not in line
+
+
+def test_recording_goes_on_where_there_is_room_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, begun = os.write, time.monotonic()
+
+    def full(descriptor: int, data: bytes) -> int:
+        if 0.5 < time.monotonic() - begun < 1.0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data)
+
+    monkeypatch.setattr("twodof.flightlog.append_only_file.os.write", full)
+    flown = _Flown(tmp_path, 9.0, telemetry=True, each=lambda: time.sleep(0.03))
+    assert flown.last in flown.told
+    assert len(flown.named) == len(flown.told) == 2
+    assert len(flown.failed) == 1

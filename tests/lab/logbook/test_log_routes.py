@@ -75,6 +75,7 @@ def nothing_is_left_over(server: Served) -> None:
 
 def test_the_list_and_what_a_log_tells(server: Served) -> None:
     assert set(names(server)) == {"a.mcap", "b.mat", "damaged.ulg", "1:theirs.parquet"}
+    assert str(server.folder.parent) not in server.ask("GET", "/api/logs").content.decode()
     found = server.ask("GET", "/api/logs/a.mcap").json
     log = attitude_steps()
     assert found["span"] == list(log.span)

@@ -8,6 +8,7 @@ import subprocess
 import time
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,9 +18,10 @@ from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, UnitDelay
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile.toolchain import compilers
-from twodof.errors import DiagramError, Rejected, Timeout
+from twodof.errors import DiagramError, LogError, Rejected, Timeout, TwodofError
 from twodof.flight.starters import starter
 from twodof.lab import diagram_work
+from twodof.lab.answers import status_of
 from twodof.lab.processes import Workbench
 
 
@@ -63,6 +65,26 @@ def test_it_stays_warm_and_says_what_is_wrong() -> None:
         with pytest.raises(DiagramError, match="not a diagram"):
             await bench.do(diagram_work.canonical, "[]", seconds=PATIENCE_S)
         assert await bench.do(_pid, seconds=PATIENCE_S) == first != os.getpid()
+
+    on_a_bench(use)
+
+
+def _fill_a_disk(through_a_log: bool) -> None:
+    if not through_a_log:
+        Path("/dev/full").write_bytes(b"x")
+    try:
+        Path("/dev/full").write_bytes(b"x")
+    except OSError as reason:
+        raise LogError(f"cannot be written: {reason.strerror}", "/srv/flights/a.csv", "make room") from reason
+
+
+@pytest.mark.parametrize("through_a_log", [False, True])
+def test_a_full_disk_stays_one_outside(through_a_log: bool) -> None:
+    async def use(bench: Workbench) -> None:
+        with pytest.raises(TwodofError) as raised:
+            await bench.do(_fill_a_disk, through_a_log, seconds=PATIENCE_S)
+        assert status_of(raised.value) == 507
+        assert "make room" in raised.value.remedy
 
     on_a_bench(use)
 

@@ -13,7 +13,7 @@ from twodof.flightlog import numbered
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.recording import Recording, record
-from twodof.lab.answers import without_folders
+from twodof.lab.answers import full_disk, without_folders
 
 LEASE_S = 4.0
 """Longest wait for the lease of a client that is gone."""
@@ -124,8 +124,9 @@ class FlightRecorder:
 
     async def run(self) -> None:
         """Record flight after flight until cancelled. Raises LinkLost."""
-        session = self._drone.session
+        session, failing = self._drone.session, False
         while True:
+            failing &= self._drone.state.armed
             await self._until(armed=True)
             while self._rests() and self._drone.state.armed:
                 session.check(session.now)
@@ -133,19 +134,26 @@ class FlightRecorder:
             if not self._drone.state.armed:
                 continue
             try:
-                await self._record()
+                await self._record(failing)
             except (LogError, OSError, Rejected, Timeout) as error:
-                self._failed(f"this flight is not recorded: {without_folders(str(error))}")
+                if not failing:
+                    why = without_folders(str(getattr(error, "what", error)))
+                    remedy = ": make room on the server's disk" if full_disk(error) else ""
+                    self._failed(f"this flight is not being recorded: {why}. It is tried every {AGAIN_S:g} s{remedy}")
+                failing = True
                 await asyncio.sleep(AGAIN_S)
+            else:
+                failing = False
 
-    async def _record(self) -> None:
+    async def _record(self, failing: bool) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
         began = datetime.now().astimezone()
         system = self._drone.session.system
         path = numbered(self._folder / f"{began:%Y-%m-%d-%H-%M-%S}-drone-{system}.mcap")
         told = {"recorded": {"by": "lab", "began": began.isoformat(timespec="milliseconds")}}
         begun: Recording | None = None
-        self.name = path.name  # before the file exists, so that nobody reads a file in writing
+        if not failing:  # then it is named once samples are on the disk
+            self.name = path.name  # before the file exists, so that nobody reads a file in writing
         try:
             async with record(self._drone, path, None, told, self._flying, overwrite=False) as recording:
                 begun = recording
@@ -154,7 +162,7 @@ class FlightRecorder:
                     async with asyncio.timeout(AFTER_S):
                         await self._until(armed=True)
         finally:
-            if begun is not None and not begun.samples:  # a log without a sample cannot be read
+            if begun is not None and not begun.acknowledged.samples:  # a log without a sample cannot be read
                 path.unlink(missing_ok=True)
             self.name = ""
             if path.exists():
@@ -164,7 +172,10 @@ class FlightRecorder:
         """Wait for arming or disarming. Raises LinkLost; RecordingError once the disk has ended `recording`."""
         session = self._drone.session
         while self._drone.state.armed != armed:
-            if recording is not None and recording.failure is not None:
-                raise recording.failure
+            if recording is not None:
+                if recording.failure is not None:
+                    raise recording.failure
+                if recording.acknowledged.samples:
+                    self.name = recording.path.name
             session.check(session.now)
             await asyncio.sleep(RECORDER_LOOK_S)

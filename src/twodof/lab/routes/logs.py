@@ -5,7 +5,6 @@ Logs are read in a process of their own, each request within a time limit.
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Callable
 from math import isfinite
 from pathlib import Path as FilePath
@@ -20,7 +19,7 @@ from twodof.errors import LogError, Rejected, TwodofError
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab import log_work
 from twodof.lab.access import lab_router, receive_file, takes
-from twodof.lab.answers import RequestBody
+from twodof.lab.answers import RequestBody, without_folders
 from twodof.lab.folders import KEPT_DAYS, MOST_NOTES, LogName
 from twodof.lab.lab import CurrentLab, Lab
 from twodof.lab.log_work import summary as log_summary
@@ -143,18 +142,7 @@ async def file(
     suffix = path.suffix.lower() if form is None else f".{form}"
     if suffix == path.suffix.lower():
         return FileResponse(path, filename=path.name, media_type="application/octet-stream")
-    made = lab.logs.scratch() / f"{secrets.token_hex(8)}{suffix}"
-    try:
-        await _work(lab, log_work.converted, str(path), str(made), seconds=CONVERT_S)
-    except BaseException:
-        made.unlink(missing_ok=True)
-        raise
-    return FileResponse(
-        made,
-        filename=path.with_suffix(suffix).name,
-        media_type="application/octet-stream",
-        background=BackgroundTask(made.unlink, missing_ok=True),
-    )
+    return await made_file(lab, path.with_suffix(suffix).name, log_work.converted, str(path))
 
 
 @router.put("/{name}/notes")
@@ -176,12 +164,10 @@ async def recover(lab: CurrentLab, name: Name) -> dict[str, Any]:
     path = lab.logs.ours(name)
     if path.name in lab.drones.recordings:
         raise Rejected("the log is being recorded", path.name, "disarm the drone first")
-    made = lab.logs.scratch() / f"{secrets.token_hex(8)}.mcap"
-    try:
+    with lab.logs.scratch() as folder:
+        made = FilePath(folder) / "recovered.mcap"
         told = await _work(lab, log_work.recovered, str(path), str(made), seconds=CONVERT_S)
-        return {**told, "name": lab.logs.take_in(made, f"{path.stem}.recovered.mcap")}
-    finally:
-        made.unlink(missing_ok=True)
+        return {**told, "name": lab.logs.take_in(made, f"{path.stem}.{made.name}")}
 
 
 @router.delete("/{name}")
@@ -197,21 +183,28 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
 async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any]:
     """Upload a log as the file's bytes. It is read first; a file that cannot be read is refused."""
     lab.logs.check_new(name)
-    path = lab.logs.scratch() / f"{secrets.token_hex(8)}{FilePath(name).suffix.lower()}"
-    try:
+    with lab.logs.scratch() as folder:
+        path = FilePath(folder) / name
         await receive_file(request, path)
         found = await _work(lab, log_summary, str(path), seconds=CONVERT_S)
         return {"name": lab.logs.take_in(path, name), "summary": found}
-    except LogError as refusal:
-        # Its name meanwhile says nothing to the client.
-        what, where = (text.replace(str(path), name).replace(path.name, name) for text in (refusal.what, refusal.where))
-        raise LogError(what, where, refusal.remedy.replace(str(path), name)) from refusal
-    finally:
-        path.unlink(missing_ok=True)
+
+
+async def made_file(lab: Lab, name: str, work: Callable[..., object], *arguments: Any) -> Response:
+    """Let `work(*arguments, target)` write a file; return it for download under a name."""
+    folder = lab.logs.scratch()
+    try:
+        made = str(FilePath(folder.name) / f"log{FilePath(name).suffix}")
+        await _work(lab, work, *arguments, made, seconds=CONVERT_S)
+    except BaseException:
+        folder.cleanup()
+        raise
+    media, end = "application/octet-stream", BackgroundTask(folder.cleanup)
+    return FileResponse(made, filename=name, media_type=media, background=end)
 
 
 def _in_words(reason: TwodofError) -> str:
-    return f"{reason.what}: {reason.remedy}" if reason.remedy else reason.what
+    return without_folders(f"{reason.what}: {reason.remedy}" if reason.remedy else reason.what)
 
 
 def _window(begin: float | None, end: float | None) -> tuple[float, float] | None:

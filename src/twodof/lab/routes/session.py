@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import secrets
 from contextlib import suppress
+from pathlib import Path as FilePath
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response, WebSocket
-from fastapi.responses import FileResponse
-from starlette.background import BackgroundTask
 from starlette.websockets import WebSocketDisconnect
 
 from twodof import __version__
@@ -16,6 +14,7 @@ from twodof.lab.access import WATCHERS_MAY, CurrentClient, Role, lab_router, rec
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.lab import CurrentLab
 from twodof.lab.log_work import mat_of_rows
+from twodof.lab.routes.logs import made_file
 from twodof.lab.telemetry_client import SocketRefused, TelemetryClient
 
 router = lab_router("/api/session", "session")
@@ -92,7 +91,6 @@ export_router = lab_router("/api/export", "export")
 MOST = 64 << 20
 """Largest body [bytes]: a quarter of an hour of fifteen columns."""
 _BINARY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
-EXPORT_S = 30.0
 Columns = Annotated[str, Query(max_length=4096, description="Names of the columns, separated by commas.")]
 
 
@@ -102,20 +100,11 @@ async def mat(lab: CurrentLab, client: CurrentClient, request: Request, columns:
 
     The body is float64[n] times [s], then float32[n] of each column, little-endian. 422 for any other body.
     """
-    path = lab.logs.scratch() / f"{secrets.token_hex(8)}.rows"
-    made = path.with_suffix(".mat")
-    try:
+    with lab.logs.scratch() as folder:
         async with lab.exports[client.role].turn(client.address):
+            path = FilePath(folder) / "rows"
             await receive_file(request, path)
-            await lab.log_bench.do(mat_of_rows, str(path), columns.split(","), str(made), seconds=EXPORT_S)
-    except BaseException:
-        made.unlink(missing_ok=True)
-        raise
-    finally:
-        path.unlink(missing_ok=True)
-    return FileResponse(
-        made, media_type="application/octet-stream", background=BackgroundTask(made.unlink, missing_ok=True)
-    )
+            return await made_file(lab, "plot.mat", mat_of_rows, str(path), columns.split(","))
 
 
 telemetry_router = APIRouter(tags=["telemetry"])
