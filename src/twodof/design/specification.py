@@ -23,7 +23,7 @@ MAX_BYTES = 1 << 20
 _HALF_POWER = math.sqrt(0.5)
 
 
-class AskedFigure(NamedTuple):
+class RequiredFigure(NamedTuple):
     """A figure that a specification may require, with a value from `low` to `high`.
 
     `of_step` names the figure of a promise to which the requirement applies, "" if it applies to a loop. `factor`
@@ -37,9 +37,9 @@ class AskedFigure(NamedTuple):
     factor: float = 1.0
 
 
-def _asked(low: float, high: float, **figure: Any) -> Any:
-    """Return an optional field of a specification, with its `AskedFigure`."""
-    return field(default=None, metadata={"figure": AskedFigure(low, high, **figure)})
+def _required(low: float, high: float, **figure: Any) -> Any:
+    """Return an optional field of a specification, with its `RequiredFigure`."""
+    return field(default=None, metadata={"figure": RequiredFigure(low, high, **figure)})
 
 
 _STEP_BOUNDS = {"step_deg": (0.1, 45.0), "step": (0.01, 1.0)}
@@ -66,18 +66,18 @@ class Specification:
     other table has.
     """
 
-    bandwidth: float | None = _asked(0.1, 100.0)
-    velocity_bandwidth: float | None = _asked(0.01, 100.0)
-    position_bandwidth: float | None = _asked(0.01, 100.0)
-    gain_margin_db: float | None = _asked(0.0, 40.0)
-    phase_margin_deg: float | None = _asked(0.0, 120.0)
-    delay_margin: float | None = _asked(0.0, 10.0)
-    peak_sensitivity: float | None = _asked(1.0, 100.0, at_most=True)
-    rise_time: float | None = _asked(0.005, 20.0, at_most=True, of_step="rise_time")
-    overshoot: float | None = _asked(0.0, 5.0, at_most=True, of_step="overshoot")
-    peak_moment: float | None = _asked(1e-3, 1.0, at_most=True, of_step="peak_M")
-    peak_theta_deg: float | None = _asked(0.1, 60.0, at_most=True, of_step="peak_theta", factor=180.0 / math.pi)
-    rail_use: float | None = _asked(0.01, 2.0, at_most=True, of_step="rail_use")
+    bandwidth: float | None = _required(0.1, 100.0)
+    velocity_bandwidth: float | None = _required(0.01, 100.0)
+    position_bandwidth: float | None = _required(0.01, 100.0)
+    gain_margin_db: float | None = _required(0.0, 40.0)
+    phase_margin_deg: float | None = _required(0.0, 120.0)
+    delay_margin: float | None = _required(0.0, 10.0)
+    peak_sensitivity: float | None = _required(1.0, 100.0, at_most=True)
+    rise_time: float | None = _required(0.005, 20.0, at_most=True, of_step="rise_time")
+    overshoot: float | None = _required(0.0, 5.0, at_most=True, of_step="overshoot")
+    peak_moment: float | None = _required(1e-3, 1.0, at_most=True, of_step="peak_M")
+    peak_theta_deg: float | None = _required(0.1, 60.0, at_most=True, of_step="peak_theta", factor=180.0 / math.pi)
+    rail_use: float | None = _required(0.01, 2.0, at_most=True, of_step="rail_use")
     step_deg: float = 10.0
     step: float = 0.15
     loop: str = "attitude"
@@ -149,7 +149,7 @@ class Specification:
             raise ParameterError(error.what, where, error.remedy) from error
 
 
-FIGURES: Mapping[str, AskedFigure] = MappingProxyType(
+FIGURES: Mapping[str, RequiredFigure] = MappingProxyType(
     {one.name: one.metadata["figure"] for one in fields(Specification) if one.metadata}
 )
 

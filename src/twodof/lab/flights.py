@@ -41,7 +41,7 @@ from twodof.rig.parameters import NAMES
 Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
 
 
-class AskedExperiment(RequestBody):
+class ExperimentRequest(RequestBody):
     """Ready-made experiment to fly; the fields beside its name replace those of the experiment.
 
     `excitation` is a form as in the reference, in the unit of the experiment's loop. `thrust` is 0 to 1; `hold` and
@@ -63,7 +63,7 @@ class AskedExperiment(RequestBody):
         return replace(made, **given) if given else made
 
 
-def check(asked: AskedExperiment) -> None:
+def check(asked: ExperimentRequest) -> None:
     """Raise ExperimentError for an unknown name or a value out of bounds."""
     asked.experiment()
 
@@ -150,7 +150,7 @@ def fly_experiment(
 
 def plan(
     progress: Callable[[float, str], None],
-    wanted: AskedExperiment,
+    wanted: ExperimentRequest,
     rig: str,
     values: Mapping[str, float],
     rehearse: bool,

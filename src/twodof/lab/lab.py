@@ -32,7 +32,7 @@ PATIENCE_S = 5.0
 """Longest wait of a preview for the warm-up [s]."""
 
 
-class Lab:
+class LabServer:
     """Drones, jobs and clients of one server; `async with` connects to the drones and leaves them.
 
     `stops` are the events that end flights, `rehearsed` the diagrams of rehearsals, both by the job's id. `summaries`
@@ -91,11 +91,11 @@ class Lab:
         await self.drones.close()
 
 
-async def current_lab(connection: HTTPConnection) -> Lab:
+async def current_lab(connection: HTTPConnection) -> LabServer:
     """Return the laboratory of the server that serves this request."""
     lab = connection.app.state.lab
-    assert isinstance(lab, Lab)
+    assert isinstance(lab, LabServer)
     return lab
 
 
-CurrentLab = Annotated[Lab, Depends(current_lab)]
+CurrentLab = Annotated[LabServer, Depends(current_lab)]

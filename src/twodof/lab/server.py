@@ -23,7 +23,7 @@ from twodof.errors import LinkError
 from twodof.lab import answers
 from twodof.lab.access import API, Gate, lab_routes
 from twodof.lab.connections import HEAD_S, LabConfig, Places, raise_file_limit
-from twodof.lab.lab import Lab
+from twodof.lab.lab import LabServer
 from twodof.lab.routes import commands, diagrams, identification, logs, parameters, session
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_client import LONGEST
@@ -96,7 +96,7 @@ _ABOUT = "The API of the laboratory in the browser. All quantities are in SI uni
 
 def create_app(settings: LabSettings) -> FastAPI:
     """Return the application: the API under /api, the page elsewhere. It connects to the drones while it runs."""
-    lab = Lab(settings)
+    lab = LabServer(settings)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:

@@ -14,7 +14,7 @@ from twodof.errors import LogError, TwodofError, listed, nearest
 from twodof.lab.access import LabClient
 from twodof.lab.answers import RequestBody, dumps, refusal_of
 from twodof.lab.drones.telemetry_source import until_one_ends
-from twodof.lab.lab import Lab
+from twodof.lab.lab import LabServer
 from twodof.lab.telemetry_rows import COLUMNS, FeedKey, Outbox, StreamState, header
 from twodof.lab.turns import Pace, greediest
 
@@ -65,11 +65,11 @@ class Here(RequestBody):
     do: Literal["here"]
 
 
-Asked = Subscribe | Unsubscribe | Here
-_ADAPTER: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="do")])
+ClientRequest = Subscribe | Unsubscribe | Here
+_ADAPTER: TypeAdapter[ClientRequest] = TypeAdapter(Annotated[ClientRequest, Field(discriminator="do")])
 
 
-def read_request(text: str) -> Asked:
+def read_request(text: str) -> ClientRequest:
     """Return the request in a client's message. Raises MalformedRequest."""
     if len(text) > LONGEST:
         raise MalformedRequest(f"longer than {LONGEST} characters")
@@ -97,7 +97,7 @@ class TelemetryClient:
     Each role has its places. When they are full, the person with the most of them loses one.
     """
 
-    def __init__(self, websocket: WebSocket, client: LabClient, lab: Lab) -> None:
+    def __init__(self, websocket: WebSocket, client: LabClient, lab: LabServer) -> None:
         self._websocket, self._lab, self._person = websocket, lab, client.address
         self._outbox = Outbox(client.role, client.address)
         self._streams: dict[int, tuple[StreamState, int]] = {}

@@ -40,7 +40,7 @@ export interface ExcitationPreview {
   again: boolean;
 }
 
-export interface PreviewAsked {
+export interface PreviewRequest {
   excitation: Excitation;
   loop: Loop;
   thrust?: number;
@@ -50,6 +50,6 @@ export interface PreviewAsked {
 
 export const listPresets = () => get<Preset[]>("excitations");
 /** A prediction takes up to 30 s on a slow computer, behind others that wait. */
-export async function previewExcitation(asked: PreviewAsked): Promise<ExcitationPreview> {
+export async function previewExcitation(asked: PreviewRequest): Promise<ExcitationPreview> {
   return (await (await request("POST", "excitations/preview", asked, 60)).json()) as ExcitationPreview;
 }

@@ -20,7 +20,7 @@ export interface Choices {
   flights: string[];
 }
 
-export interface ExperimentAsked {
+export interface ExperimentRequest {
   name: string;
   excitation?: Excitation;
 }
@@ -132,7 +132,7 @@ export interface FitView {
   simple_text: string;
 }
 
-export interface FitAsked {
+export interface FitRequest {
   log: string;
   kind?: string;
   structure: string;
@@ -143,11 +143,11 @@ export interface FitAsked {
 }
 
 export const identificationChoices = () => get<Choices>("identification");
-export const planExperiment = (experiment: ExperimentAsked, drone: number | undefined, rehearse: boolean) =>
+export const planExperiment = (experiment: ExperimentRequest, drone: number | undefined, rehearse: boolean) =>
   send<Job<Plan>>("POST", "identification/plan", { experiment, rehearse, ...(drone === undefined ? {} : { drone }) });
 /** `seed` is that of a virtual rig's noise. */
-export const flyExperiment = (experiment: ExperimentAsked, drone: number, seed: number) =>
+export const flyExperiment = (experiment: ExperimentRequest, drone: number, seed: number) =>
   send<Job<FlownExperiment>>("POST", "identification/fly", { experiment, drone, seed });
 export const stopFlight = (job: string) => send<unknown>("POST", `identification/fly/${job}/stop`);
-export const fitLog = (asked: FitAsked) =>
+export const fitLog = (asked: FitRequest) =>
   send<Job<{ view: FitView; model: Record<string, unknown> }>>("POST", "identification/fit", asked);

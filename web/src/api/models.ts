@@ -21,7 +21,7 @@ export interface ModelRow {
   informative?: { enough: boolean; trusted: boolean; text: string } | null;
 }
 
-export interface DesignAsked {
+export interface ControllerRequest {
   name: string;
   /** Crossover of the rate loop [rad/s]. */
   crossover: number;
@@ -48,5 +48,5 @@ export const listModels = () => get<ModelRow[]>("models");
 export const keepModel = (job: string, name: string, overwrite = false) =>
   send<ModelRow>("POST", "models", { job, name, overwrite });
 export const deleteModel = (name: string) => send<undefined>("DELETE", at(name));
-export const designController = (model: string, asked: DesignAsked) =>
+export const designController = (model: string, asked: ControllerRequest) =>
   send<Job<Designed>>("POST", `${at(model)}/controller`, asked);

@@ -19,7 +19,7 @@ from twodof.gcs.async_drone import AsyncDrone
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.excitation_work import drawn, excitation_of
-from twodof.lab.lab import CurrentLab, Lab
+from twodof.lab.lab import CurrentLab, LabServer
 from twodof.lab.routes.session import NamedDrone
 from twodof.rig.parameters import NAMES
 from twodof.signals import HOVER
@@ -27,13 +27,13 @@ from twodof.signals import HOVER
 router = lab_router("/api", "commands")
 
 
-class AskedMode(RequestBody):
+class ModeRequest(RequestBody):
     """Mode to enter."""
 
     mode: Literal["manual", "rate", "attitude", "position", "hold", "offboard"]
 
 
-class AskedReset(RequestBody):
+class ResetRequest(RequestBody):
     """Restart of a virtual drone: seed and gain of its noise, place on the rail [m], rings locked or not."""
 
     seed: int = Field(default=1, ge=0, lt=2**32)
@@ -42,7 +42,7 @@ class AskedReset(RequestBody):
     rings: bool = False
 
 
-class AskedSetpoint(RequestBody):
+class SetpointRequest(RequestBody):
     """Set-point of one loop: theta [rad], q [rad/s], M [-1 to 1], v [m/s], x [m].
 
     `thrust` is 0 to 1, for theta, q and M; left out, it stays unchanged. `acceleration` [m/s^2] is fed forward, for v
@@ -55,7 +55,7 @@ class AskedSetpoint(RequestBody):
     acceleration: Finite | None = None
 
 
-class AskedExcitation(RequestBody):
+class ExcitationRequest(RequestBody):
     """Excitation as in the reference, the loop to whose set-point it is added, and the thrust during it."""
 
     excitation: dict[str, Any]
@@ -127,7 +127,7 @@ async def give_up_lease(one: NamedDrone) -> dict[str, Any]:
 
 
 @router.post("/drones/{number}/mode")
-async def mode(one: NamedDrone, asked: AskedMode) -> dict[str, Any]:
+async def mode(one: NamedDrone, asked: ModeRequest) -> dict[str, Any]:
     """Change the mode and wait until the drone confirms it. `hold` levels the drone and ends the set-points."""
     async with one.commanded() as drone:
         await (drone.level_hold() if asked.mode == "hold" else drone.set_mode(asked.mode))
@@ -135,16 +135,16 @@ async def mode(one: NamedDrone, asked: AskedMode) -> dict[str, Any]:
 
 
 @router.post("/drones/{number}/reset")
-async def reset(one: NamedDrone, asked: Annotated[AskedReset | None, Body()] = None) -> dict[str, Any]:
+async def reset(one: NamedDrone, asked: Annotated[ResetRequest | None, Body()] = None) -> dict[str, Any]:
     """Restart a virtual drone at tick 0, at rest. 409 for a real drone, and while the drone is armed."""
-    how = AskedReset() if asked is None else asked
+    how = ResetRequest() if asked is None else asked
     async with one.commanded() as drone:
         await drone.reset(how.seed, how.x, how.noise, how.rings)
     return one.state
 
 
 @router.put("/drones/{number}/setpoint")
-async def setpoint(one: NamedDrone, asked: AskedSetpoint) -> dict[str, Any]:
+async def setpoint(one: NamedDrone, asked: SetpointRequest) -> dict[str, Any]:
     """Follow a set-point, which the server repeats until another one replaces it or `hold` ends it."""
     async with one.commanded() as drone:
         await _FOLLOW[asked.loop](drone, asked.value, asked.acceleration if asked.loop in ("v", "x") else asked.thrust)
@@ -160,7 +160,7 @@ async def stop_setpoint(one: NamedDrone) -> dict[str, Any]:
 
 
 @router.post("/drones/{number}/excitation")
-async def excite(one: NamedDrone, asked: AskedExcitation) -> dict[str, Any]:
+async def excite(one: NamedDrone, asked: ExcitationRequest) -> dict[str, Any]:
     """Play an excitation on board, added to the set-point of its loop. Return its first and last tick at its start."""
     played = await asyncio.to_thread(excitation_of, asked.excitation)
     async with one.commanded() as drone:
@@ -181,7 +181,7 @@ DRAW_S, PREDICT_S = 30.0, 30.0
 """Longest time for an excitation's values and for a prediction [s]; the first one compiles the closed loop."""
 
 
-class AskedPreview(AskedExcitation):
+class PreviewRequest(ExcitationRequest):
     """Excitation, with the drone (0: none) and its place on the rail [m] for a prediction of the motion."""
 
     drone: Annotated[int, Field(ge=0, le=255)] = 0
@@ -206,7 +206,7 @@ async def excitations() -> list[dict[str, Any]]:
 
 
 @excitations_router.post("/preview", dependencies=[WATCHERS_MAY])
-async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
+async def preview(lab: CurrentLab, asked: PreviewRequest) -> dict[str, Any]:
     """Return the values of an excitation at `points` times over its duration [s]; nothing is flown.
 
     `excitation` is its final form. `motion` is the predicted motion of the drone with its gains, by the identified
@@ -219,7 +219,7 @@ async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
 
 
 async def _motion(
-    lab: Lab, asked: AskedPreview, excitation: dict[str, Any], unit: str
+    lab: LabServer, asked: PreviewRequest, excitation: dict[str, Any], unit: str
 ) -> tuple[dict[str, Any] | None, str, bool]:
     """Return the motion as plain data, or None, the reason, and True if it will come later."""
     if asked.drone == 0:

@@ -19,7 +19,7 @@ from twodof.lab import diagram_work
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
 from twodof.lab.answers import NotThere, RequestBody
 from twodof.lab.folders import FileName
-from twodof.lab.lab import CurrentLab, Lab
+from twodof.lab.lab import CurrentLab, LabServer
 from twodof.lab.processes import Answer, Told
 
 router = lab_router("/api/diagrams", "diagrams")
@@ -28,25 +28,25 @@ MOST_TEXT = MAX_BYTES + (1 << 20)  # a text in JSON has its quotes escaped
 Name = Annotated[FileName, Path(description="Name of a file in the folder of diagrams, without its ending.")]
 
 
-class AskedDiagram(RequestBody):
+class DiagramRequest(RequestBody):
     """JSON of a diagram as a text, so that numbers keep their form."""
 
     text: str = Field(max_length=MAX_BYTES)
 
 
-class AskedCode(AskedDiagram):
+class CodeRequest(DiagramRequest):
     """Diagram, and the type of a real."""
 
     precision: Literal["float32", "float64"] = "float32"
 
 
-class AskedLoop(AskedDiagram):
+class LoopRequest(DiagramRequest):
     """Diagram, and the virtual rig that it is to fly."""
 
     rig: Literal["lab", "paper"] = "lab"
 
 
-class AskedBlocks(RequestBody):
+class BlocksRequest(RequestBody):
     """Blocks of the library, each {"type": ..., "config": {...}}."""
 
     blocks: list[dict[str, Any]] = Field(max_length=2000, fail_fast=True)
@@ -67,31 +67,31 @@ async def starter_text(name: Name) -> dict[str, str]:
 
 
 @router.post("/shapes", dependencies=[WATCHERS_MAY, takes(1 << 20)])
-async def shapes(lab: CurrentLab, request: Request, asked: AskedBlocks) -> list[dict[str, Any]]:
+async def shapes(lab: CurrentLab, request: Request, asked: BlocksRequest) -> list[dict[str, Any]]:
     """Return each block's ports, parameters and structure; for a wrong block what, where and remedy of the error."""
     return await _work(lab, request, diagram_work.shapes, asked.blocks)
 
 
 @router.post("/read", dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def read(lab: CurrentLab, request: Request, asked: AskedDiagram) -> dict[str, str]:
+async def read(lab: CurrentLab, request: Request, asked: DiagramRequest) -> dict[str, str]:
     """Return the diagram in the form of its file. 422 with the place of a mistake."""
     return await _work(lab, request, diagram_work.canonical, asked.text)
 
 
 @router.post("/check", dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def check(lab: CurrentLab, request: Request, asked: AskedDiagram) -> dict[str, Any]:
+async def check(lab: CurrentLab, request: Request, asked: DiagramRequest) -> dict[str, Any]:
     """Check the diagram: problems and remarks by the path of the block, an algebraic loop with its signals."""
     return await _work(lab, request, diagram_work.check, asked.text)
 
 
 @router.post("/code", dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def code(lab: CurrentLab, request: Request, asked: AskedCode) -> dict[str, Any]:
+async def code(lab: CurrentLab, request: Request, asked: CodeRequest) -> dict[str, Any]:
     """Return the diagram's C at 250 Hz; each line as [text, path of its block or "", function]."""
     return await _work(lab, request, diagram_work.code, asked.text, asked.precision)
 
 
 @router.post("/compile", dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def compile_loop(lab: CurrentLab, request: Request, asked: AskedLoop) -> dict[str, Any]:
+async def compile_loop(lab: CurrentLab, request: Request, asked: LoopRequest) -> dict[str, Any]:
     """Compile the closed loop with the virtual rig to WebAssembly (base 64), with its interface and its start.
 
     The work ends if the client goes away.
@@ -100,7 +100,7 @@ async def compile_loop(lab: CurrentLab, request: Request, asked: AskedLoop) -> d
 
 
 async def _work(
-    lab: Lab, request: Request, work: Callable[..., Answer], *arguments: Any, seconds: float = FAST_S
+    lab: LabServer, request: Request, work: Callable[..., Answer], *arguments: Any, seconds: float = FAST_S
 ) -> Answer:
     return await lab.workbench.do(work, *arguments, seconds=seconds, gone=request.is_disconnected)
 
@@ -118,7 +118,7 @@ async def file(lab: CurrentLab, name: Name) -> dict[str, str]:
 
 
 @router.put("/files/{name}", dependencies=[takes(MOST_TEXT)])
-async def save(lab: CurrentLab, request: Request, name: Name, asked: AskedDiagram) -> dict[str, str]:
+async def save(lab: CurrentLab, request: Request, name: Name, asked: DiagramRequest) -> dict[str, str]:
     """Keep a diagram under a name, instead of an older one; return the text in the file."""
     kept = await _work(lab, request, diagram_work.canonical, asked.text)
     lab.diagrams.save(name, kept["text"], overwrite=True)
@@ -138,13 +138,13 @@ REHEARSAL = "rehearsal"
 FLASH_S = 120.0
 
 
-class AskedRehearsal(AskedDiagram):
+class RehearsalRequest(DiagramRequest):
     """Diagram, and the number of the drone whose active controller it is compared with."""
 
     drone: int = Field(ge=1, le=255)
 
 
-class AskedFlash(AskedRehearsal):
+class FlashRequest(RehearsalRequest):
     """Diagram, drone, and the job of their rehearsal; `force` flies a diagram that the rehearsal found unstable."""
 
     rehearsal: str = Field(max_length=40)
@@ -152,19 +152,19 @@ class AskedFlash(AskedRehearsal):
 
 
 @jobs_router.post("/margins", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def margins(lab: CurrentLab, client: CurrentClient, asked: AskedLoop) -> dict[str, Any]:
+async def margins(lab: CurrentLab, client: CurrentClient, asked: LoopRequest) -> dict[str, Any]:
     """Start a job for the margins and Bode plots of the loops that a diagram closes."""
     return lab.jobs.start("margins", diagram_work.margins, asked.text, asked.rig, client=client).to_json()
 
 
 @jobs_router.post("/px4", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def px4(lab: CurrentLab, client: CurrentClient, asked: AskedDiagram) -> dict[str, Any]:
+async def px4(lab: CurrentLab, client: CurrentClient, asked: DiagramRequest) -> dict[str, Any]:
     """Start a job that exports a module for PX4; its result has the folder as a zip file in base 64."""
     return lab.jobs.start("px4", diagram_work.px4_module, asked.text, client=client).to_json()
 
 
 @jobs_router.post("/rehearsal", status_code=202, dependencies=[takes(MOST_TEXT)])
-async def rehearsal(lab: CurrentLab, asked: AskedRehearsal) -> dict[str, Any]:
+async def rehearsal(lab: CurrentLab, asked: RehearsalRequest) -> dict[str, Any]:
     """Start a job that does every step of flashing but the last. Nothing is changed on the drone."""
     template = await lab.workbench.do(diagram_work.template, asked.text, seconds=COMPILE_S)
     before, origin = await _flies(lab, asked.drone, template)
@@ -176,7 +176,7 @@ async def rehearsal(lab: CurrentLab, asked: AskedRehearsal) -> dict[str, Any]:
 
 
 @jobs_router.post("/flash", status_code=202, dependencies=[takes(MOST_TEXT)])
-async def flash(lab: CurrentLab, asked: AskedFlash) -> dict[str, Any]:
+async def flash(lab: CurrentLab, asked: FlashRequest) -> dict[str, Any]:
     """Start a job that flashes a rehearsed diagram. It takes up to two minutes: the drone builds it.
 
     The job can be ended while the diagram is sent; then the controller before flies on.
@@ -201,13 +201,13 @@ async def flash(lab: CurrentLab, asked: AskedFlash) -> dict[str, Any]:
     return lab.jobs.watch(f"flash {asked.drone}", partial(_flashed, lab, asked, job.result["template"])).to_json()
 
 
-async def _flashed(lab: Lab, asked: AskedFlash, template: str, told: Told) -> dict[str, Any]:
+async def _flashed(lab: LabServer, asked: FlashRequest, template: str, told: Told) -> dict[str, Any]:
     async with lab.drones[asked.drone].commanded() as drone:
         await drone.fly_controller(template, asked.text, FLASH_S, lambda text, share: told(share, text, text == BUILDS))
     return {"drone": asked.drone, "template": template}
 
 
-async def _flies(lab: Lab, number: int, template: str) -> tuple[str | None, str]:
+async def _flies(lab: LabServer, number: int, template: str) -> tuple[str | None, str]:
     """Return the user's diagram that flies for a template, or None, and a text of its origin."""
     drone = lab.drones[number].drone
     try:

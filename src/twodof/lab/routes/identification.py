@@ -17,7 +17,7 @@ from twodof.identify.ready_made import AUTO, STRUCTURES
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.drones.lab_drone import LabDrone
-from twodof.lab.flights import AskedExperiment, check, design, fly_experiment, identify, offered, plan
+from twodof.lab.flights import ExperimentRequest, check, design, fly_experiment, identify, offered, plan
 from twodof.lab.folders import FileName, LogName
 from twodof.lab.lab import CurrentLab
 from twodof.lab.models import MAX_BYTES
@@ -30,24 +30,24 @@ CHECK_S = 30.0
 DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
 
-class AskedPlan(RequestBody):
+class PlanRequest(RequestBody):
     """Experiment, and the drone for which it is planned; `rehearse` adds a simulated flight with noise, and its fit."""
 
-    experiment: AskedExperiment
+    experiment: ExperimentRequest
     drone: DroneNumber | None = None
     model: FileName | None = None
     rehearse: bool = False
 
 
-class AskedFlight(RequestBody):
+class FlightRequest(RequestBody):
     """Experiment, and the drone that flies it; `seed` is that of a virtual rig's noise."""
 
-    experiment: AskedExperiment
+    experiment: ExperimentRequest
     drone: DroneNumber
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
 
 
-class AskedFit(RequestBody):
+class FitRequest(RequestBody):
     """Log to identify from, by its name among the flights.
 
     `kind` is the kind of experiment; left out, it comes from the log. `impulse` is a free response, from which a
@@ -73,7 +73,7 @@ async def choices(lab: CurrentLab) -> dict[str, Any]:
 
 
 @router.post("/plan", status_code=202, dependencies=[WATCHERS_MAY])
-async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> dict[str, Any]:
+async def planned(lab: CurrentLab, client: CurrentClient, asked: PlanRequest) -> dict[str, Any]:
     """Start a job that predicts accuracy and motion of an experiment. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
     values = {} if asked.model is None else lab.models.values(asked.model)
@@ -83,7 +83,7 @@ async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> d
 
 
 @router.post("/fly", status_code=202)
-async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
+async def flown(lab: CurrentLab, asked: FlightRequest) -> dict[str, Any]:
     """Start a job that flies an experiment, as `twodof fly` does: arm, hold, excite on board, disarm.
 
     The server gives its lease up for it and records nothing itself: the job writes the log. A virtual drone is reset
@@ -116,7 +116,7 @@ async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> 
 
 
 @router.post("/fit", status_code=202, dependencies=[WATCHERS_MAY])
-async def fitted(lab: CurrentLab, client: CurrentClient, asked: AskedFit) -> dict[str, Any]:
+async def fitted(lab: CurrentLab, client: CurrentClient, asked: FitRequest) -> dict[str, Any]:
     """Start a job that identifies from a log by output error and by hand; its result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
         what = f"nothing is identified from {shown(asked.kind)}"
@@ -138,7 +138,7 @@ models_router = lab_router("/api/models", "models")
 ModelName = Annotated[FileName, Path(description="Name under which the model was kept.")]
 
 
-class AskedKeeping(RequestBody):
+class KeepRequest(RequestBody):
     """Job of a fit whose model is kept, and the model's name."""
 
     job: Annotated[str, Field(max_length=40)]
@@ -146,7 +146,7 @@ class AskedKeeping(RequestBody):
     overwrite: bool = False
 
 
-class AskedController(RequestBody):
+class ControllerRequest(RequestBody):
     """Design: the diagram's name, crossover [rad/s] and phase margin [rad] of the rate loop, method."""
 
     name: FileName
@@ -169,7 +169,7 @@ async def model(lab: CurrentLab, name: ModelName) -> dict[str, Any]:
 
 
 @models_router.post("", status_code=201)
-async def keep(lab: CurrentLab, asked: AskedKeeping) -> dict[str, Any]:
+async def keep(lab: CurrentLab, asked: KeepRequest) -> dict[str, Any]:
     """Keep the model of a job of /api/identification/fit."""
     job = lab.jobs[asked.job]
     document = job.result.get("model") if isinstance(job.result, dict) else None
@@ -192,7 +192,7 @@ async def delete(lab: CurrentLab, name: ModelName) -> Response:
 
 
 @models_router.post("/{name}/controller", status_code=202)
-async def controller(lab: CurrentLab, name: ModelName, asked: AskedController) -> dict[str, Any]:
+async def controller(lab: CurrentLab, name: ModelName, asked: ControllerRequest) -> dict[str, Any]:
     """Start a job that designs a controller for a model, and promises its flight, as `twodof design controller`.
 
     Its result has the diagram's `file` among the user's diagrams. A controller that does not keep the family stable is

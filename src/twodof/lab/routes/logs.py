@@ -21,7 +21,7 @@ from twodof.lab import log_work
 from twodof.lab.access import lab_router, receive_file, takes
 from twodof.lab.answers import RequestBody, without_folders
 from twodof.lab.folders import KEPT_DAYS, MOST_NOTES, LogName
-from twodof.lab.lab import CurrentLab, Lab
+from twodof.lab.lab import CurrentLab, LabServer
 from twodof.lab.log_work import summary as log_summary
 from twodof.lab.processes import Answer
 from twodof.report.plots.comparison_view import MOST_FLIGHTS
@@ -190,7 +190,7 @@ async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any
         return {"name": lab.logs.take_in(path, name), "summary": found}
 
 
-async def made_file(lab: Lab, name: str, work: Callable[..., object], *arguments: Any) -> Response:
+async def made_file(lab: LabServer, name: str, work: Callable[..., object], *arguments: Any) -> Response:
     """Let `work(*arguments, target)` write a file; return it for download under a name."""
     folder = lab.logs.scratch()
     try:
@@ -217,5 +217,5 @@ def _window(begin: float | None, end: float | None) -> tuple[float, float] | Non
     return begin, end
 
 
-async def _work(lab: Lab, work: Callable[..., Answer], *arguments: Any, seconds: float = READ_S) -> Answer:
+async def _work(lab: LabServer, work: Callable[..., Answer], *arguments: Any, seconds: float = READ_S) -> Answer:
     return await lab.log_bench.do(work, *arguments, seconds=seconds)

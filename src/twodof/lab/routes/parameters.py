@@ -82,7 +82,7 @@ SnapshotName = Annotated[FileName, Path(description="Name of the snapshot.")]
 TEXT = "text/plain; charset=utf-8"
 
 
-class AskedSnapshot(RequestBody):
+class SnapshotRequest(RequestBody):
     """Name and note of a new snapshot."""
 
     name: FileName
@@ -111,7 +111,7 @@ async def snapshots(lab: CurrentLab, one: NamedDrone) -> list[dict[str, Any]]:
 
 
 @files_router.post("/snapshots", status_code=201)
-async def keep(lab: CurrentLab, one: NamedDrone, asked: AskedSnapshot) -> dict[str, Any]:
+async def keep(lab: CurrentLab, one: NamedDrone, asked: SnapshotRequest) -> dict[str, Any]:
     """Keep the drone's present parameters as a snapshot."""
     file = await _now(one, asked.note)
     lab.snapshots.save(asked.name, file.text(), asked.overwrite)
@@ -183,13 +183,13 @@ StepSize = Annotated[Finite, Field(ge=0.001, le=0.8)]
 USUAL_STEP = math.radians(10.0)
 
 
-class AskedModel(RequestBody):
+class ModelRequest(RequestBody):
     """Name of a model; null for none."""
 
     model: FileName | None
 
 
-class AskedChanges(RequestBody):
+class ChangesRequest(RequestBody):
     """Changed parameters by name, the step of theta [rad] to show, and the `model`, by default the guarding one."""
 
     changes: dict[Annotated[str, Field(max_length=200)], Finite] = Field(default_factory=dict, max_length=200)
@@ -210,14 +210,14 @@ async def guarded(lab: CurrentLab, one: NamedDrone) -> dict[str, Any]:
 
 
 @tuning_router.put("/{number}/model")
-async def choose(lab: CurrentLab, one: NamedDrone, asked: AskedModel) -> dict[str, Any]:
+async def choose(lab: CurrentLab, one: NamedDrone, asked: ModelRequest) -> dict[str, Any]:
     """Choose the model that guards the drone's gains: gains that are unstable within its uncertainty need a token."""
     lab.models.choose(one.number, asked.model)
     return await guarded(lab, one)
 
 
 @tuning_router.post("/{number}/preview", dependencies=[WATCHERS_MAY])
-async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict[str, Any]:
+async def preview(lab: CurrentLab, one: NamedDrone, asked: ChangesRequest) -> dict[str, Any]:
     """Preview the pitch law with `changes`: margins, band of step responses, figures and verdict.
 
     `touches` is True if the changes affect the law; `parameters` are those that can. `confirm` is the token for an
@@ -238,7 +238,7 @@ async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict
 
 
 @tuning_router.post("/{number}/step", dependencies=[WATCHERS_MAY])
-async def step(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict[str, Any]:
+async def step(lab: CurrentLab, one: NamedDrone, asked: ChangesRequest) -> dict[str, Any]:
     """Predict the band of a step with `changes`, without margins and verdict: fast enough to follow a slider.
 
     `why` has the reason if the band is missing, as for a law without a linear model, else "".
@@ -249,7 +249,7 @@ async def step(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict[st
         return {"why": reason.what}
 
 
-def _model(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> str:
+def _model(lab: CurrentLab, one: NamedDrone, asked: ChangesRequest) -> str:
     """Return the name of the model asked for, or of the one that guards the drone. Raise NotThere without one."""
     name = asked.model or lab.models.chosen(one.number)
     if name is None:

@@ -13,7 +13,7 @@ import {
 import type { Job } from "../../api/jobs";
 import type { Excitation } from "../../api/drones";
 import { BackgroundJob } from "../../state/background_job.svelte";
-import { experimentAsked, fitAsked, latestOf, type FitChoice } from "./asked";
+import { experimentRequest, fitRequest, latestOf, type FitChoice } from "./requests";
 
 const MOST_TRIES = 3;
 
@@ -103,7 +103,7 @@ export class Identification {
     if (this.running) return;
     this.fit = undefined;
     const job = new BackgroundJob<{ view: FitView }>();
-    await this.run("Identifying", job, () => fitLog(fitAsked(this.choice)));
+    await this.run("Identifying", job, () => fitLog(fitRequest(this.choice)));
     if (job.result) this.fit = { job: job.now!.id, view: job.result.view };
   }
 
@@ -137,7 +137,7 @@ export class Identification {
   private stopped = false;
 
   private asked() {
-    return this.experiment && experimentAsked(this.experiment, this.own);
+    return this.experiment && experimentRequest(this.experiment, this.own);
   }
 
   /** Run a job; that of a flight is running until `landed` has shown what was flown. */

@@ -1,5 +1,5 @@
-// What is asked of the server: an experiment, ready-made or with an excitation of one's own, and which logs fit.
-import type { ExperimentAsked, ExperimentRow, FitAsked } from "../../api/identification";
+// Requests to the server: an experiment, ready-made or with an excitation of one's own, and a fit of logs.
+import type { ExperimentRequest, ExperimentRow, FitRequest } from "../../api/identification";
 import type { Excitation } from "../../api/drones";
 
 /** Group experiments in open and in closed loop. */
@@ -10,7 +10,7 @@ export function byLoop(rows: readonly ExperimentRow[]): readonly (readonly [stri
   ];
 }
 
-export function experimentAsked(row: ExperimentRow, own: Excitation | undefined): ExperimentAsked {
+export function experimentRequest(row: ExperimentRow, own: Excitation | undefined): ExperimentRequest {
   return own === undefined ? { name: row.name } : { name: row.name, excitation: own };
 }
 
@@ -48,7 +48,7 @@ export interface FitChoice {
   disturbance: string;
 }
 
-export function fitAsked({ log, kind, structure, impulse, others, window, disturbance }: FitChoice): FitAsked {
+export function fitRequest({ log, kind, structure, impulse, others, window, disturbance }: FitChoice): FitRequest {
   return {
     log,
     structure,

@@ -1,6 +1,13 @@
 import { describe, expect, it } from "vitest";
 import type { ExperimentRow, OutputCurves, ResidualTest } from "../../src/api/identification";
-import { byLoop, experimentAsked, experimentOf, fitAsked, latestOf, windowOf } from "../../src/pages/identify/asked";
+import {
+  byLoop,
+  experimentRequest,
+  experimentOf,
+  fitRequest,
+  latestOf,
+  windowOf,
+} from "../../src/pages/identify/requests";
 import { fitSeries, fitWords, residualSeries, strength, testSeries, testWords } from "../../src/pages/identify/curves";
 
 const NAMES = ["impulse", "doublet", "velocity-doublet", "attitude-steps"];
@@ -23,15 +30,15 @@ describe("the log that fits", () => {
   });
   it("is asked for without what is empty", () => {
     const given = { log: "a", kind: "", structure: "auto", impulse: "", others: ["a", "b"], disturbance: "auto" };
-    expect(fitAsked({ ...given, window: undefined })).toEqual({
+    expect(fitRequest({ ...given, window: undefined })).toEqual({
       log: "a",
       structure: "auto",
       disturbance: "auto",
       others: ["b"],
     });
-    expect(fitAsked({ ...given, kind: "impulse", impulse: "i", window: [1, 2] })).toMatchObject({ kind: "impulse" });
-    expect(fitAsked({ ...given, kind: "impulse", impulse: "i", window: [1, 2] })).not.toHaveProperty("impulse");
-    expect(fitAsked({ ...given, kind: "doublet", impulse: "i", window: [1, 2] })).toMatchObject({
+    expect(fitRequest({ ...given, kind: "impulse", impulse: "i", window: [1, 2] })).toMatchObject({ kind: "impulse" });
+    expect(fitRequest({ ...given, kind: "impulse", impulse: "i", window: [1, 2] })).not.toHaveProperty("impulse");
+    expect(fitRequest({ ...given, kind: "doublet", impulse: "i", window: [1, 2] })).toMatchObject({
       impulse: "i",
       window: [1, 2],
     });
@@ -48,9 +55,9 @@ describe("the log that fits", () => {
 describe("an experiment", () => {
   const row = { name: "doublet", kind: "doublet", mode: "open-loop" } as ExperimentRow;
   it("has its own excitation only where one was built", () => {
-    expect(experimentAsked(row, undefined)).toEqual({ name: "doublet" });
+    expect(experimentRequest(row, undefined)).toEqual({ name: "doublet" });
     const own = { kind: "3-2-1-1", version: 1 };
-    expect(experimentAsked(row, own)).toEqual({ name: "doublet", excitation: own });
+    expect(experimentRequest(row, own)).toEqual({ name: "doublet", excitation: own });
   });
   it("stands by its loop", () => {
     const [open, closed] = byLoop([row, { ...row, name: "attitude-steps", kind: "attitude", mode: "attitude" }]);
