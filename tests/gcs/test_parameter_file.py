@@ -38,7 +38,11 @@ def test_a_file_of_qgroundcontrol_is_read() -> None:
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 @pytest.mark.parametrize(
     "rows",
-    ["#NOTE: by Mission Planner\nRATE_KP,0.0813\r\nMODE,2\r\n", "RATE_KP  0.0813 # by MAVProxy\n # x\n\nMODE\t2\n"],
+    [
+        "#NOTE: by Mission Planner\nRATE_KP,0.0813\r\nMODE,2\r\n",
+        "RATE_KP  0.0813 # by MAVProxy\n # x\n\nMODE\t2\n",
+        "# PX4's airframe\nparam set-default RATE_KP 0.0813\nparam set MODE 2\n",
+    ],
 )
 def test_files_of_names_and_values_are_read(rows: str, encoding: str) -> None:
     file = ParameterFile.read(rows.encode(encoding))

@@ -2,7 +2,7 @@
 
 A line has five fields with tabs between them: vehicle id, component id, name, value and MAV_PARAM_TYPE. What follows #
 is a remark. Source: QGroundControl's developer guide, "Parameters File Format". A line of Mission Planner or MAVProxy
-has name and value, with a comma or spaces between them.
+has name and value, with a comma or spaces between them; in a script of PX4 `param set` stands before them.
 """
 
 from collections.abc import Iterable, Mapping
@@ -112,6 +112,8 @@ def _same(value: float, entry: ParameterEntry) -> bool:
 
 def _row(line: str, where: str) -> tuple[int, int, str, float, int]:
     fields = line.partition("#")[0].replace(",", " ").split()
+    if fields[:1] == ["param"] and fields[1:2] in (["set"], ["set-default"]):
+        fields = fields[2:]
     try:
         vehicle, component, name, text, kind = ["0", "1", *fields, f"{REAL32}"] if len(fields) == 2 else fields
         value, numbers = float(text), (int(vehicle), int(component), int(kind))
