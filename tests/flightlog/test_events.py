@@ -101,6 +101,25 @@ def test_failsafe_moments_are_not_part_of_a_doublet() -> None:
     assert found.window[1] == pytest.approx(11.2, abs=SAMPLE)
 
 
+def test_failsafe_set_points_are_no_steps() -> None:
+    tick = 10.0 + PERIOD * np.arange(2500)
+    wanted = Steps((0.1, 0.0, 0.1, 0.0), 2.0, lead=0.5).at(tick - 10.0)
+    acts = (tick >= 15.0) & (tick < 15.6)  # while 0.1 is asked for
+    wanted[acts] = -0.05
+    log = FlightLog(
+        {
+            "mode": channel("mode", tick, np.full(tick.size, MODES.index("attitude"))),
+            "safety": Channel(tick, np.column_stack([acts, 4 * acts, 4 * acts]).astype(float), "", SAFETY, "safety"),
+            "theta0": channel("theta0", tick, wanted),
+            **{name: channel(name, tick, np.full(tick.size, 0.4)) for name in ("T", "q0")},
+        }
+    )
+    before, after = excitations(log)
+    assert [*before.edges, *after.edges] == pytest.approx([10.5, 12.5, 14.5, 16.5], abs=SAMPLE)
+    assert before.window[1] == pytest.approx(15.0, abs=SAMPLE)
+    assert after.window[0] == pytest.approx(16.2, abs=SAMPLE)
+
+
 REAL = [
     ("free-response-impulse", "open-loop-impulse", 0.1, [188.456, 188.648], 188.30),
     ("doublet-0.03", "open-loop-doublet", 0.03, [244.808, 245.108, 245.405], 244.70),

@@ -1,8 +1,8 @@
 """Table of contents of a log: channels, gaps, stretches with thrust, events, and the experiments found in it."""
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import islice, pairwise
 from typing import Any
 
@@ -13,6 +13,7 @@ from twodof.flightlog.events import (
     SETPOINTS,
     Event,
     Stretch,
+    failsafe_acts,
     modes,
     openloop_edges,
     setpoint_steps,
@@ -55,10 +56,13 @@ class DetectedExcitation:
 
 
 def excitations(log: FlightLog) -> list[DetectedExcitation]:
-    """Return the excitations in a log, in order of time. Raises LogError if `T`, `q0` or `theta0` is missing."""
+    """Return the excitations in a log, in order of time. An act of the failsafe ends one, and begins the next.
+
+    Raises LogError if `T`, `q0` or `theta0` is missing.
+    """
     found = []
     edges = openloop_edges(log) if "lmnf" in log else []
-    for stretch in modes(log):
+    for stretch, calm in _calm_stretches(log):
         if stretch.mode == "open-loop":
             excitation = _open_loop(log, stretch, edges)
         elif stretch.mode in SETPOINTS:
@@ -66,8 +70,22 @@ def excitations(log: FlightLog) -> list[DetectedExcitation]:
         else:
             excitation = None
         if excitation is not None:
-            found.append(excitation)
+            (start, stop), (first, last) = excitation.window, calm
+            found.append(replace(excitation, window=(max(start, first), min(stop, last))))
     return found
+
+
+def _calm_stretches(log: FlightLog) -> Iterator[tuple[Stretch, tuple[float, float]]]:
+    """Yield the parts of the modes in which the failsafe does not act, with the times [s] of its acts around each."""
+    # M of a step is stamped before that step's word of the failsafe, by less than half a period.
+    acts = [(start - 0.5 * PERIOD, stop) for start, stop in failsafe_acts(log)]
+    calm = [(stop, start) for (_, stop), (start, _) in pairwise([(-np.inf, -np.inf), *acts, (np.inf, np.inf)])]
+    for stretch in modes(log):
+        for k in range(bisect_right(calm, stretch.t0, key=lambda one: one[1]), len(calm)):
+            start, stop = max(stretch.t0, calm[k][0]), min(stretch.t1, calm[k][1])
+            if start >= stop:
+                break
+            yield Stretch(start, stop, stretch.mode), calm[k]
 
 
 def find_excitation(log: FlightLog, name: str) -> DetectedExcitation:
@@ -151,26 +169,13 @@ def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Dete
     # The message that opened the loop is up to 20 ms older than the first M made from it.
     first = bisect_left(edges, stretch.t0 - 0.02, key=lambda event: event.time)
     last = bisect_right(edges, stretch.t1, key=lambda event: event.time)
-    # The failsafe's moments while the loop is open are not part of the excitation.
-    ends = _first_act(log, stretch)
-    steps = [event for event in edges[first:last] if event.channel == "lmnf.M" and event.time < ends]
+    steps = [event for event in edges[first:last] if event.channel == "lmnf.M"]
     if not steps:
         return None
     shape = _shape(steps, stretch.t1)
     start, stop = window(log, steps)
     # An impulse is flown for the free response after it.
-    stop = min(stretch.t1 if shape == "impulse" else stop, ends)
-    return _excitation("open-loop", shape, steps, (start, stop))
-
-
-def _first_act(log: FlightLog, stretch: Stretch) -> float:
-    """Return the time [s] of the failsafe's first act in `stretch`; infinity for none, or without channel `safety`."""
-    if "safety" not in log:
-        return np.inf
-    safety = log["safety"].slice(stretch.t0, stretch.t1)
-    acts = np.flatnonzero(safety.field("action") > 0)
-    # M of a step is stamped before that step's word of the failsafe, by less than half a period.
-    return float(safety.time[acts[0]]) - 0.5 * PERIOD if acts.size else np.inf
+    return _excitation("open-loop", shape, steps, (start, stretch.t1 if shape == "impulse" else stop))
 
 
 def _closed_loop(log: FlightLog, stretch: Stretch) -> DetectedExcitation | None:
