@@ -70,7 +70,7 @@ def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) 
     assert (lab.folder / "diagrams" / "for from the page.json").is_file()
     assert axe(page) == []
     picture(page, "identify-designed")
-    page.get_by_role("button", name="Tune on it").click()
+    page.get_by_role("button", name="Tune with it").click()
     expect(page.get_by_label("Model", exact=True)).to_have_value("from the page")
 
 
@@ -97,7 +97,7 @@ def test_a_flight_that_is_stopped_says_so(lab: ServedLab, open_page: OpenPage) -
 
 def test_a_refusal_appears_beside_the_button(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?log=2026-01-01-10-00-00-impulse.mcap"))
-    page.get_by_label("It holds").select_option("velocity")
+    page.get_by_label("Experiment in it").select_option("velocity")
     page.get_by_role("button", name="Identify", exact=True).click()
     expect(page.get_by_role("alert").filter(has_text="holds no excitation")).to_be_visible(timeout=LONG_MS)
 

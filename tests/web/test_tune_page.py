@@ -81,7 +81,7 @@ def test_edits_are_sent_together_and_undone(lab: ServedLab, open_page: OpenPage)
     expect(field(page, "RATE_KP")).to_have_value("0.0854")
     expect(bar).to_be_focused()
     edit(page, "RATE_KP", "0.08")
-    page.get_by_role("button", name="Put RATE_KP back").press("Enter")
+    page.get_by_role("button", name="Undo the edit of RATE_KP").press("Enter")
     expect(field(page, "RATE_KP")).to_be_focused()
     assert (on_board(lab, "RATE_KP"), on_board(lab, "ATT_KP")) == (0.0854, 11.0)
 
@@ -115,7 +115,7 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
     expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)
     for name, value in (("RATE_KP", "0.12"), ("RATE_KD", "0.003"), ("ATT_KP", "15")):
         edit(page, name, value)
-    expect(page.get_by_text("Not stable for all drones")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text("Unstable for some sampled drones")).to_be_visible(timeout=LONG_MS)
     picture(page, "tune-unstable")
     page.get_by_role("button", name="Send 3 changes").click()
     dialog = page.get_by_role("dialog")
@@ -133,7 +133,7 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
         edit(page, name, value)
     page.get_by_role("button", name="Send 3 changes").click()
     bar = page.get_by_label("Changes to send")
-    expect(bar).to_contain_text("Nothing edited", timeout=LONG_MS)
+    expect(bar).to_contain_text("No changes yet", timeout=LONG_MS)
     # To take that back is a change that is not kept stable: it is laid into the edits, and asked for as before.
     page.get_by_role("button", name="Undo last send").click()
     expect(bar.get_by_role("alert")).to_contain_text("unstable within the uncertainty", timeout=LONG_MS)
@@ -159,14 +159,14 @@ def test_a_gain_is_moved_flown_and_kept(by: str, lab_server: LabServer, open_pag
     lab_server.tell("parameters", {"ATT_KP": 11.0}, "PATCH")
     page = open_page(f"{lab_server.link}#/tune", expects=("504",))  # asked again where the computer is busy
     page.get_by_label("Model", exact=True).select_option("careful")
-    expect(page.get_by_text(re.compile(r"Stable, worst margin \d+ deg"))).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text(re.compile(r"Stable, disk margin at least \d+ deg"))).to_be_visible(timeout=LONG_MS)
     slider = page.get_by_role("slider", name="ATT_KP, slider")
     page.get_by_role("button", name="Lock the cart").click()
     lab_server.until(rings_locked=True, warnings=[])
     armed(page)
     fly_step(page, r"flown at \d+\.\d s")
     if by == "mouse":
-        page.get_by_label("Send at release").check()
+        page.get_by_label("Send on release").check()
         slider.scroll_into_view_if_needed()
         box = slider.bounding_box()
         assert box
@@ -207,7 +207,7 @@ def test_a_snapshot_is_compared_and_restored(lab: ServedLab, open_page: OpenPage
     assert lab.call("PATCH", "drones/1/parameters", {"ATT_KP": 7.0})[0] == 200
     page.get_by_role("button", name="Compare").click()
     expect(page.get_by_role("row", name="ATT_KP")).to_contain_text("7")
-    page.get_by_role("button", name="Take 1 into the edits").click()
+    page.get_by_role("button", name="Copy 1 into the fields").click()
     page.get_by_role("button", name="Send 1 change").click()
     expect(page.get_by_text("Sent: ATT_KP")).to_be_visible()
     assert on_board(lab, "ATT_KP") == 11.0

@@ -39,7 +39,7 @@ describe("what is followed", () => {
   it("is what the drone tells, whoever gave it", () => {
     expect(followed(at(3), true)).toBe("follows pitch 10.00\u00a0deg");
     expect(followed(at(5), true)).toBe("follows position 0.100\u00a0m");
-    expect(followed(at(1), true)).toBe("flies a moment, no loop");
+    expect(followed(at(1), true)).toBe("moment command, no loop closed");
     for (const none of [followed(at(3), false), followed(at(NaN), true), followed(at(0), true)])
       expect(none).toBe("follows no set-point");
   });

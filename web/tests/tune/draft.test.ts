@@ -47,7 +47,7 @@ describe("the list", () => {
   it("puts a user's controller first and the failsafe and the vehicle last, each number once", () => {
     const names = grouped(ROWS).map(([group, rows]) => [group, rows.map((one) => one.name)]);
     expect(names).toEqual([
-      ["Own: attitude control", ["AC_Q_KP"]],
+      ["Your controller: attitude control", ["AC_Q_KP"]],
       ["Rate loop", ["RATE_KP"]],
       ["Failsafe", ["SAFE_LINK_T"]],
       ["Vehicle", ["BAT1_N_CELLS"]],

@@ -34,6 +34,6 @@ export const LOOPS = (Object.keys(RANGES) as Loop[]).map(loopRow);
 export function followed(value: (column: string) => number, armed: boolean): string {
   const row = controlLoop(value("state.mode"));
   if (!armed || row === undefined) return "follows no set-point";
-  if (row.loop === "M") return "flies a moment, no loop";
+  if (row.loop === "M") return "moment command, no loop closed";
   return `follows ${row.short.toLowerCase()} ${shownValue(value(`setpoint.${row.loop}`), row.unit)}`;
 }

@@ -19,7 +19,7 @@ const GROUPS: readonly [start: string, label: string][] = [
 ];
 
 export function groupOf(row: ParameterRow): string {
-  if (row.path !== "") return `Own: ${row.path.split(".")[0]!.replaceAll("_", " ")}`;
+  if (row.path !== "") return `Your controller: ${row.path.split(".")[0]!.replaceAll("_", " ")}`;
   return GROUPS.find(([start]) => row.name.startsWith(start))?.[1] ?? "Vehicle";
 }
 
@@ -31,7 +31,7 @@ function term(row: ParameterRow): number {
 
 /** Group the rows, gains first. */
 export function grouped(rows: readonly ParameterRow[]): readonly (readonly [group: string, rows: ParameterRow[]])[] {
-  const order = ["Own", ...GROUPS.map(([, label]) => label), "Vehicle"];
+  const order = ["Your controller", ...GROUPS.map(([, label]) => label), "Vehicle"];
   const found = new Map<string, ParameterRow[]>();
   for (const row of rows) {
     if (row.same_as !== "") continue;

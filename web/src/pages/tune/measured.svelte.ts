@@ -71,10 +71,8 @@ export class MeasuredSteps {
   }
 
   get text(): string {
-    if (this.live.some((step) => step.loop.loop === "theta")) return "as they were flown just now";
-    return this.logged.length > 0
-      ? `of ${this.log}`
-      : "none flown yet: arm, and press the steps below one after the other";
+    if (this.live.some((step) => step.loop.loop === "theta")) return "flown just now";
+    return this.logged.length > 0 ? `from ${this.log}` : "none flown yet: press Arm, then the steps below";
   }
 
   private async readLatest(): Promise<void> {

@@ -161,14 +161,14 @@ export class Tuning {
     if (last.length === 0) return;
     try {
       await undoChange(this.drone);
-      toast("The last change was taken back", "good");
+      toast("The last change was undone", "good");
       await this.refresh();
       this.askSoon();
     } catch (failure) {
       if (!(failure instanceof ApiError && failure.status === 409)) return void toastError(failure);
       // It can be looked at, and sent as any change can, once more confirmed where the model does not keep it stable.
       this.take(last.map((one) => ({ ...one, before: one.value, value: one.before })));
-      this.failure = `Not taken back: ${failure.what}. The values from before stand in the edits: look, then send.`;
+      this.failure = `Not undone: ${failure.what}. The earlier values are in the fields: check them, then send.`;
     }
   }
 

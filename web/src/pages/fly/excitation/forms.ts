@@ -60,7 +60,7 @@ export function kinds(loop: Loop): readonly Kind[] {
     {
       kind: "impulse",
       label: "Impulse",
-      text: "The amplitude for a moment, then the free response.",
+      text: "A short pulse, then the free response.",
       fields: [amplitude(), seconds("width", "Width", 0.2 * scale, HOLD)],
     },
     {
@@ -84,11 +84,11 @@ export function kinds(loop: Loop): readonly Kind[] {
     {
       kind: "sweep",
       label: "Sweep",
-      text: "A sine whose frequency goes from one to another.",
+      text: "A sine whose frequency rises.",
       fields: [
         amplitude(),
-        hertz("start_hz", "From", slow ? 0.1 : 0.2),
-        hertz("end_hz", "To", slow ? 1 : 4),
+        hertz("start_hz", "From frequency", slow ? 0.1 : 0.2),
+        hertz("end_hz", "To frequency", slow ? 1 : 4),
         seconds("length", "Length", 20, HOLD),
         { name: "law", label: "Frequency rises", type: "choice", ...laws },
       ],
@@ -125,7 +125,7 @@ export function kindOf(loop: Loop, name: string): Kind {
 
 export const COMMON: readonly Field[] = [
   seconds("lead", "Rest before", 0.5),
-  whole("repeat", "Played", 1, 1, 100),
+  whole("repeat", "Repetitions", 1, 1, 100),
   seconds("pause", "Pause between", 0),
   seconds("settle", "Rest after", 2),
 ];
