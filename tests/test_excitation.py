@@ -278,3 +278,11 @@ def test_json_that_is_none() -> None:
 def test_kinds_are_called_what_they_say() -> None:
     assert list(KINDS) == ["impulse", "doublet", "3-2-1-1", "steps", "sweep", "prbs", "multisine"]
     assert LIMITS["rad"] == radians(50.0)
+
+
+def test_a_form_with_a_peak_is_schroeders() -> None:
+    form = {"kind": "multisine", "version": 1, "peak": 0.1, "period": 2.0, "harmonics": [1, 3, 7], "unit": "rad"}
+    assert from_dict(form) == Multisine.schroeder(0.1, 2.0, [1, 3, 7], unit="rad")
+    for wrong in ({"amplitudes": [0.1]}, {"period": None}, {"harmonics": 3}):
+        with pytest.raises(ExperimentError):
+            from_dict(form | wrong)

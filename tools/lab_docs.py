@@ -93,7 +93,7 @@ JSON texts. New fields and events may come.
 | `text` | `drone`, `severity`, `text`, `time` | the drone, or the server about it, says a line |
 | `parameters` | `drone`, `names` | parameters changed, whoever changed them |
 | `job` | `job` | a job goes on or ends; its result is at `/api/jobs/ID` |
-| `log` | `name` | a flight was recorded |
+| `log` | `drone`, `name` | a flight was recorded |
 | `refused` | `id`, `what`, `where`, `remedy` | a subscription cannot be |
 | `alive` | | every {ALIVE_S:g} s |
 

@@ -9,7 +9,7 @@ Domain Approach", ch. 5.
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from math import inf, isfinite, log, pi, radians, sqrt
@@ -442,7 +442,10 @@ KINDS: Mapping[str, type[Excitation]] = MappingProxyType(
 
 
 def from_dict(values: Mapping[str, Any]) -> Excitation:
-    """Return the excitation from the values of `to_dict`. Raises ExperimentError for other values."""
+    """Return the excitation from the values of `to_dict`. Raises ExperimentError for other values.
+
+    A multisine may have the `peak` and `powers` of `schroeder` instead of amplitudes and phases.
+    """
     kind = values.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise ExperimentError(f"unknown kind {kind!r}", "excitation", f"there are: {', '.join(KINDS)}")
@@ -453,11 +456,15 @@ def from_dict(values: Mapping[str, Any]) -> Excitation:
             "use another version of twodof",
         )
     given = {name: value for name, value in values.items() if name not in ("kind", "version")}
+    make: Callable[..., Excitation] = KINDS[kind]
     known = [one.name for one in fields(KINDS[kind])]
+    if kind == Multisine.kind and "peak" in given:
+        make = Multisine.schroeder
+        known = ["peak", "powers", *(name for name in known if name not in ("amplitudes", "phases"))]
     if strange := [name for name in given if name not in known]:
         raise ExperimentError(f"unknown value {strange[0]!r}", kind, f"there are: {', '.join(known)}")
     try:
-        return KINDS[kind](**given)
+        return make(**given)
     except TypeError as reason:
         raise ExperimentError(f"a value is missing: {reason}", kind, f"there are: {', '.join(known)}") from reason
 

@@ -37,7 +37,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from twodof.errors import RecordingError
 from twodof.lab.answers import FiniteJSON, Refused
-from twodof.lab.settings import LabSettings
+from twodof.lab.settings import LabSettings, is_loopback
 from twodof.lab.turns import Pace
 
 API = "/api/"
@@ -284,13 +284,13 @@ def host_is_ours(host: str, settings: LabSettings) -> bool:
         name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
     except ValueError:
         return False
-    if name == "localhost":
+    if is_loopback(name):
         return True
     try:
-        address = ipaddress.ip_address(name)
+        ipaddress.ip_address(name)
     except ValueError:
         return settings.reached and name in {*_own_names(), settings.host.lower()}
-    return settings.reached or address.is_loopback
+    return settings.reached
 
 
 def origin_is_ours(origin: str | None, host: str) -> bool:

@@ -192,10 +192,9 @@ def install(app: FastAPI) -> None:
         return await ours(request, full)
 
     @app.exception_handler(RequestValidationError)
-    async def malformed(_: Request, error: RequestValidationError) -> Response:
+    async def malformed(request: Request, error: RequestValidationError) -> Response:
         what, where = mistakes_in_words(error.errors())
-        said = {"what": what, "where": where, "remedy": "correct it; GET /api/openapi.json has the forms"}
-        return FiniteJSON(said, MALFORMED)
+        return await ours(request, TwodofError(what, where, _WORDS[400][1]))
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> Response:

@@ -107,6 +107,7 @@ class PlacedConnection(asyncio.Protocol):
     role: Role | None = None
     due = unread_due = inf
     idle = False
+    reads = True  # False while earlier data wait for the application
     _gone = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -147,11 +148,6 @@ class PlacedConnection(asyncio.Protocol):
         """Address of the client."""
         return "" if self.client is None else self.client[0]
 
-    @property
-    def reads(self) -> bool:
-        """True unless earlier data wait for the application."""
-        raise NotImplementedError
-
     def prove(self, role: Role) -> None:
         """Move to the places of a role."""
         if role is not self.role and not self._gone:
@@ -170,11 +166,7 @@ class HttpConnection(PlacedConnection, H11Protocol):
     """HTTP connection with time limits."""
 
     idle = property(lambda self: self.cycle is None or self.cycle.response_complete)
-
-    @property
-    def reads(self) -> bool:
-        """True unless a body waits for the application."""
-        return not self.flow.read_paused
+    reads = property(lambda self: not self.flow.read_paused)
 
     def data_received(self, data: bytes) -> None:
         """Read a piece, and set the time for the rest of the head or body."""
@@ -215,10 +207,7 @@ class HttpConnection(PlacedConnection, H11Protocol):
 class SocketConnection(PlacedConnection, WebSocketsSansIOProtocol):
     """Web socket, which has a connection's place until it hears telemetry, and again while it is being closed."""
 
-    @property
-    def reads(self) -> bool:
-        """True unless messages wait for the application."""
-        return not self.read_paused
+    reads = property(lambda self: not self.read_paused)
 
     def keep(self) -> None:
         """Leave the connections' places for one among the clients of telemetry."""

@@ -26,6 +26,7 @@ from twodof.fleet.flash import rehearse
 from twodof.flight.gains import DEFAULT
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, check_template, nearest_template, template_fit
+from twodof.lab.answers import refusal_of
 from twodof.lab.processes import Progress
 from twodof.signals import PERIOD
 from twodof.sim.linear import LOOPS, cascade_margins
@@ -103,8 +104,7 @@ def _fit(diagram: Diagram, fine: bool) -> dict[str, Any] | None:
 
 
 def _told(error: TwodofError) -> dict[str, Any]:
-    told: dict[str, Any] = {"what": error.what, "where": error.where, "remedy": error.remedy}
-    return told | ({"loop": list(error.signals)} if isinstance(error, AlgebraicLoop) else {})
+    return refusal_of(error) | ({"loop": list(error.signals)} if isinstance(error, AlgebraicLoop) else {})
 
 
 def code(text: str, precision: str) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""Work of long jobs: flying an experiment, identifying from logs, designing a controller."""
+"""Work on experiments in processes of their own: excitations, flights, identification, design of a controller."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, replace
 from datetime import datetime
@@ -22,9 +22,9 @@ from twodof.errors import (
     Rejected,
     Timeout,
 )
-from twodof.excitation import KINDS, LIMITS
+from twodof.excitation import KINDS, LIMITS, from_dict
 from twodof.experiment.expected_accuracy import expected_accuracy
-from twodof.experiment.experiments import EXPERIMENTS, UNIT, Experiment, experiment
+from twodof.experiment.experiments import EXPERIMENTS, LOOP, UNIT, Experiment, experiment
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly
 from twodof.flight.starters import save_diagram
@@ -35,7 +35,6 @@ from twodof.identify.experiments import KINDS as IDENTIFIED
 from twodof.identify.identified_flight import identify_flight
 from twodof.identify.ready_made import FLOWN_AS
 from twodof.lab.answers import RequestBody
-from twodof.lab.excitation_work import excitation_of
 from twodof.rig.parameters import NAMES
 
 Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
@@ -59,7 +58,7 @@ class ExperimentRequest(RequestBody):
         given = {key: value for key in ("thrust", "hold", "rest") if (value := getattr(self, key)) is not None}
         made = experiment(self.name)
         if self.excitation is not None:
-            given["excitation"] = excitation_of(self.excitation)
+            given["excitation"] = from_dict({"version": 1, **self.excitation})
         return replace(made, **given) if given else made
 
 
@@ -71,7 +70,7 @@ def check(asked: ExperimentRequest) -> None:
 def offered() -> dict[str, Any]:
     """Return the experiments, the kinds of excitation with their fields, and the kinds of identification."""
     return {
-        "experiments": [_row(one) for one in EXPERIMENTS.values()],
+        "experiments": [*experiments()],
         "excitations": {
             name: [one.name for one in fields(kind) if one.name not in ("unit", "lead", "settle", "pause", "repeat")]
             for name, kind in KINDS.items()
@@ -81,13 +80,31 @@ def offered() -> dict[str, Any]:
     }
 
 
-def _row(one: Experiment) -> dict[str, Any]:
+def drawn(given: dict[str, Any], points: int) -> dict[str, Any]:
+    """Return the final form of an excitation, and its values at `points` times. Raises ExperimentError."""
+    played = from_dict({"version": 1, **given})
+    times = [played.duration * k / (points - 1) for k in range(points)]
     return {
-        **{key: getattr(one, key) for key in ("name", "text", "mode", "rings", "thrust", "hold", "rest", "duration")},
-        "unit": UNIT[one.mode],
-        "excitation": one.excitation.to_dict(),
-        "kind": FLOWN_AS.get(one.name, one.name if one.name in IDENTIFIED else None),
+        "excitation": played.to_dict(),
+        "unit": played.unit,
+        "duration": played.duration,
+        "peak": played.peak,
+        "time": times,
+        "value": played.at(times).tolist(),
     }
+
+
+def experiments() -> Iterator[dict[str, Any]]:
+    """Return the ready-made experiments as plain data, the paper's first; `kind` is that of their identification."""
+    shown = ("name", "text", "mode", "rings", "thrust", "hold", "rest", "duration")
+    for one in EXPERIMENTS.values():
+        yield {
+            **{key: getattr(one, key) for key in shown},
+            "loop": LOOP[one.mode],
+            "unit": UNIT[one.mode],
+            "excitation": one.excitation.to_dict(),
+            "kind": FLOWN_AS.get(one.name, one.name if one.name in IDENTIFIED else None),
+        }
 
 
 def fly_experiment(

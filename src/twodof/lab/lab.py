@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -18,7 +17,7 @@ from twodof.experiment.prediction import predicted
 from twodof.flight.gains import DEFAULT
 from twodof.lab.access import Role
 from twodof.lab.drones.lab_drone import LabDrones
-from twodof.lab.excitation_work import drawn
+from twodof.lab.flights import drawn
 from twodof.lab.folders import LogShelf, NamedFiles
 from twodof.lab.models import ModelFolder, TuningGuard
 from twodof.lab.processes import MOST_WAITING, Jobs, Workbench
@@ -35,8 +34,7 @@ PATIENCE_S = 5.0
 class LabServer:
     """Drones, jobs and clients of one server; `async with` connects to the drones and leaves them.
 
-    `stops` are the events that end flights, `rehearsed` the diagrams of rehearsals, both by the job's id. `summaries`
-    are those of logs, by path, time of the last change [ns] and size [byte].
+    `summaries` are those of logs, by path, time of the last change [ns] and size [byte].
     """
 
     def __init__(self, settings: LabSettings) -> None:
@@ -49,12 +47,10 @@ class LabServer:
         self.diagrams = NamedFiles(settings.folder / "diagrams", ".json", "diagram", 1000, DIAGRAM_BYTES)
         self.snapshots = NamedFiles(settings.folder / "snapshots", ".params", "snapshot", 500)
         self.guard = TuningGuard(self.models, self.workbench)
-        self.stops: dict[str, Event] = {}
         self.logs = LogShelf(settings.folder, settings.logs)
         self.summaries: dict[tuple[str, int, int], dict[str, Any]] = {}
-        self.log_bench = Workbench("log", LogError)
+        self.log_bench = Workbench("log", LogError, 30.0)
         self.exports = {role: Turns(2, MOST_WAITING, "export") for role in Role}
-        self.rehearsed: dict[str, str] = {}
         self._warming: asyncio.Task[None] | None = None
 
     def whole_log(self, name: str) -> Path:

@@ -243,17 +243,7 @@ class TuningGuard:
         self._models, self._bench = models, bench
         self._secret = secrets.token_bytes(32)
 
-    async def judge(
-        self, one: LabDrone, changes: Mapping[str, float], model: str, goal: float | None
-    ) -> dict[str, Any]:
-        """Judge changes by name or path on a model. Raises as `judge`, NotThere, LinkLost, Timeout."""
-        return await self._ask(judge, one, changes, model, goal)
-
-    async def step(self, one: LabDrone, changes: Mapping[str, float], model: str, goal: float) -> dict[str, Any]:
-        """Predict a step with changes by name or path on a model. Raises as `predicted_step` and `judge`."""
-        return await self._ask(predicted_step, one, changes, model, goal)
-
-    async def _ask(
+    async def ask(
         self,
         what: Callable[..., dict[str, Any]],
         one: LabDrone,
@@ -261,6 +251,7 @@ class TuningGuard:
         model: str,
         goal: float | None,
     ) -> dict[str, Any]:
+        """Return `judge` or `predicted_step` of changes by name or path. Raises as these, NotThere, LinkLost."""
         family = self._models.family(model)
         given, active = await self._named(one, changes)
         entries = await one.connection.parameters.entries()
@@ -287,7 +278,7 @@ class TuningGuard:
             return
         where = f"drone {one.number}"
         try:
-            told = await self.judge(one, changes, model, None)
+            told = await self.ask(judge, one, changes, model, None)
         except DiagramError as reason:
             what = f"the model '{model}', which guards the drone, cannot judge this: {reason.what}"
             raise Rejected(what, where, "let no model guard the drone, and fly it with care") from reason

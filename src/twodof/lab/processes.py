@@ -20,6 +20,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from multiprocessing.synchronize import Event
 from types import FrameType, MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -201,10 +202,13 @@ class Workbench:
     """Warm processes, one for each role, that carry out requests about diagrams or logs one at a time.
 
     `subject` names their subject in errors, `failure` is the class of the errors. A request that takes too long, or
-    whose client has left, ends its process; the next request starts a new one.
+    whose client has left, ends its process; the next request starts a new one. A request may take `seconds`.
     """
 
-    def __init__(self, subject: str = "diagram", failure: type[TwodofError] = DiagramError) -> None:
+    def __init__(
+        self, subject: str = "diagram", failure: type[TwodofError] = DiagramError, seconds: float = 10.0
+    ) -> None:
+        self._seconds = seconds
         self._processes = {
             role: _WorkProcess(subject, failure, background=False, nice=role is Role.WATCH) for role in Role
         }
@@ -214,7 +218,7 @@ class Workbench:
         self,
         work: Callable[..., Answer],
         *arguments: Any,
-        seconds: float,
+        seconds: float | None = None,
         gone: Callable[[], Awaitable[bool]] | None = None,
     ) -> Answer:
         """Return the result of `work(*arguments)`, in its turn, as JSON values.
@@ -224,7 +228,7 @@ class Workbench:
         """
         role, person = CLIENT.get()
         async with self._turns[role].turn(person):
-            answer: Answer = await self._processes[role].run(work, arguments, seconds, gone=gone)
+            answer: Answer = await self._processes[role].run(work, arguments, seconds or self._seconds, gone=gone)
             return answer
 
     async def close(self) -> None:
@@ -238,6 +242,7 @@ class Job:
     """Progress of a job: `fraction` 0 to 1, `text`, and at its end its `result` or `error`.
 
     `bound` is True while the job cannot be cancelled. `client` is the client that started it, if it may only watch.
+    `stop` is the event that ends a flight, `about` a key of what a rehearsal was asked.
     """
 
     id: str
@@ -250,6 +255,8 @@ class Job:
     bound: bool = False
     client: LabClient | None = None
     task: asyncio.Task[None] | None = None
+    stop: Event | None = None
+    about: str = ""
 
     @property
     def over(self) -> bool:

@@ -267,11 +267,6 @@ class FeedKey(NamedTuple):
     rate: float
     role: Role = Role.COMMAND
 
-    @property
-    def truth(self) -> bool:
-        """True for a feed with the true state of a virtual rig."""
-        return any(column in TRUTH for column in self.columns)
-
 
 class _Feed:
     """Rows of one key for the subscriptions `to`. `waiting` are those of the last times, at most `MOST_TIMES`."""
@@ -320,11 +315,6 @@ class Feeds:
     def wanted(self) -> bool:
         """True if there is a feed."""
         return bool(self._feeds)
-
-    @property
-    def truth_wanted(self) -> bool:
-        """True if a feed has the true state of a virtual rig."""
-        return any(key.truth for key in self._feeds)
 
     def add(self, key: FeedKey, stream: StreamState, outbox: Outbox) -> None:
         """Add a subscription to the feed `key`; a rate above the full rate counts as the full rate."""

@@ -22,10 +22,10 @@ pytestmark = pytest.mark.slow
 def test_a_preview_during_the_warm_up_comes_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled, do = threading.Event(), Workbench.do
 
-    async def slow(self: Workbench, work: Callable[..., Any], *arguments: Any, seconds: float, gone: Any = None) -> Any:
-        if seconds == lab_module.WARM_UP_S:
+    async def slow(self: Workbench, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        if options.get("seconds") == lab_module.WARM_UP_S:
             await asyncio.to_thread(compiled.wait)
-        return await do(self, work, *arguments, seconds=seconds, gone=gone)
+        return await do(self, work, *arguments, **options)
 
     monkeypatch.setattr(Workbench, "do", slow)
     monkeypatch.setattr(lab_module, "PATIENCE_S", 0.05)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Mapping
-from contextlib import AbstractAsyncContextManager, ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import AbstractAsyncContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +46,13 @@ class DroneConnection:
     def __init__(self, drone: AsyncDrone, lab_drone: LabDrone, folder: Path) -> None:
         self.drone = drone
         self.asked: dict[str, Any] | None = None
-        self.pilot = Pilot(drone, lambda: lab_drone.commanding, lab_drone.say)
-        self.parameters = ParameterTable(drone, lab_drone.tell_parameters)
+        self.pilot = Pilot(drone, lambda: lab_drone.audience.commanding, lab_drone.say)
+        self.parameters = ParameterTable(drone, lambda names: lab_drone.tell("parameters", names=names))
         self.recorder = FlightRecorder(
             drone,
             folder / "flights",
             self.parameters.active,
-            lab_drone.tell_log,
+            lambda name: lab_drone.tell("log", name=name),
             lambda why: lab_drone.say("error", why),
             lambda: lab_drone.lent,
         )
@@ -65,8 +65,7 @@ class DroneConnection:
         if self.drone.ours:
             work.append(self.parameters.run())
             if not self.drone.session.lockstep:
-                work += TelemetrySource(self.drone, self._lab_drone.feeds).work()
-                work.append(self.recorder.run())
+                work += [TelemetrySource(self.drone, self._lab_drone.feeds).run(), self.recorder.run()]
         await until_one_ends(work)
 
     async def _ask_for_less(self) -> None:
@@ -107,7 +106,7 @@ class DroneConnection:
             steady = {key: value for key, value in state.items() if key not in _PASSES}
             if steady != told or session.now >= due:
                 told, due = steady, session.now + REPORT_ANYWAY_S
-                self._lab_drone.tell_state(state)
+                self._lab_drone.tell("drone", state=state)
             await asyncio.sleep(REPORT_S)
 
 
@@ -121,7 +120,7 @@ class LabDrone:
         self.url, self.number = url, 0
         self.feeds = Feeds(audience.allowance)
         self.texts: deque[dict[str, Any]] = deque(maxlen=MOST_TEXTS)
-        self._settings, self._audience = settings, audience
+        self.audience, self._settings = audience, settings
         self._connection: DroneConnection | None = None
         self._why_lost = "the drone was not heard yet"
         self._last: dict[str, Any] = {}
@@ -150,17 +149,15 @@ class LabDrone:
         """Take the lease, if this server lacks it, and yield the drone. Raises Rejected, LinkLost, Timeout."""
         return self.connection.pilot.commanded()
 
-    def lend(self) -> ExitStack:
-        """Lend the drone to a job, which records by itself and may restart it, until the returned stack is closed."""
-        lent = ExitStack()
-        if self._connection is not None:
-            lent.enter_context(self._connection.drone.clock.resetting())
-        self._lendings += 1
-        lent.callback(self._lent_back)
-        return lent
-
-    def _lent_back(self) -> None:
-        self._lendings -= 1
+    @contextmanager
+    def lend(self) -> Iterator[None]:
+        """Lend the drone to a job, which records by itself and may restart it. Raises LinkLost."""
+        with self.drone.clock.resetting():
+            self._lendings += 1
+            try:
+                yield
+            finally:
+                self._lendings -= 1
 
     async def run(self) -> None:
         """Keep the drone connected until cancelled; then leave it, disarmed if this server has the lease."""
@@ -191,39 +188,25 @@ class LabDrone:
             await self._connection.run()
         finally:
             self._last, self._connection = self._connection.report(), None
-            self.tell_state(self.state)
+            self.tell("drone", state=self.state)
             with suppress(TwodofError):
                 await drone.close()
-
-    @property
-    def commanding(self) -> int:
-        """Number of connected clients that may command."""
-        return self._audience.commanding
 
     @property
     def lent(self) -> bool:
         """True while a job flies the drone and records by itself."""
         return self._lendings > 0
 
-    def tell_state(self, state: Mapping[str, Any]) -> None:
-        """Send the state to all clients."""
-        if self.number:
-            self._audience.tell({"event": "drone", "drone": self.number, "state": state})
+    def tell(self, event: str, **fields: Any) -> None:
+        """Send an event about the drone to all clients, see docs/reference/lab-routes.md."""
+        self.audience.tell({"event": event, "drone": self.number, **fields})
 
     def say(self, severity: str, text: str) -> None:
         """Send a line about the drone to all clients."""
         at = None if self._connection is None else seconds(self._connection.drone.tick)
         line = {"severity": severity, "text": text, "time": at}
         self.texts.append(line)
-        self._audience.tell({"event": "text", "drone": self.number, **line})
-
-    def tell_parameters(self, names: list[str]) -> None:
-        """Send the names of changed parameters to all clients."""
-        self._audience.tell({"event": "parameters", "drone": self.number, "names": names})
-
-    def tell_log(self, name: str) -> None:
-        """Send the name of a recorded flight to all clients."""
-        self._audience.tell({"event": "log", "name": name})
+        self.tell("text", **line)
 
 
 MOST_DRONES = 8
@@ -248,14 +231,9 @@ class LabDrones:
         raise NotThere("there is no such drone", f"drone {number}", f"there are: {', '.join(known) or 'none yet'}")
 
     @property
-    def all(self) -> list[LabDrone]:
-        """Drones that were heard, by number."""
-        return sorted((one for one in self._drones if one.number), key=lambda one: one.number)
-
-    @property
     def states(self) -> list[dict[str, Any]]:
-        """States of the drones that were heard."""
-        return [one.state for one in self.all]
+        """States of the drones that were heard, by number."""
+        return [one.state for one in sorted(self._drones, key=lambda one: one.number) if one.number]
 
     @property
     def recordings(self) -> frozenset[str]:

@@ -11,14 +11,14 @@ from fastapi import Body
 from pydantic import Field
 
 from twodof.errors import Rejected, Timeout, TwodofError
-from twodof.experiment import EXPERIMENTS
-from twodof.experiment.experiments import LOOP, LOOP_MODES, UNIT
+from twodof.excitation import from_dict
+from twodof.experiment.experiments import LOOP_MODES, UNIT
 from twodof.experiment.prediction import predicted
-from twodof.flight.gains import DEFAULT, GAIN_NAMES, Gains
+from twodof.flight.gains import DEFAULT, Gains
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router
 from twodof.lab.answers import Finite, RequestBody
-from twodof.lab.excitation_work import drawn, excitation_of
+from twodof.lab.flights import drawn, experiments
 from twodof.lab.lab import CurrentLab, LabServer
 from twodof.lab.routes.session import NamedDrone
 from twodof.rig.parameters import NAMES
@@ -162,7 +162,7 @@ async def stop_setpoint(one: NamedDrone) -> dict[str, Any]:
 @router.post("/drones/{number}/excitation")
 async def excite(one: NamedDrone, asked: ExcitationRequest) -> dict[str, Any]:
     """Play an excitation on board, added to the set-point of its loop. Return its first and last tick at its start."""
-    played = await asyncio.to_thread(excitation_of, asked.excitation)
+    played = await asyncio.to_thread(from_dict, {"version": 1, **asked.excitation})
     async with one.commanded() as drone:
         playback = await drone.excite(played, asked.loop, asked.thrust, wait=False)
     return {"start_tick": playback.start_tick, "end_tick": playback.end_tick, "duration": played.duration}
@@ -177,8 +177,8 @@ async def stop_excitation(one: NamedDrone) -> dict[str, Any]:
 
 
 excitations_router = lab_router("/api/excitations", "excitations")
-DRAW_S, PREDICT_S = 30.0, 30.0
-"""Longest time for an excitation's values and for a prediction [s]; the first one compiles the closed loop."""
+PREDICT_S = 30.0
+"""Longest time for a prediction [s]."""
 
 
 class PreviewRequest(ExcitationRequest):
@@ -192,17 +192,7 @@ class PreviewRequest(ExcitationRequest):
 @excitations_router.get("")
 async def excitations() -> list[dict[str, Any]]:
     """List the ready-made excitations with loop, thrust and rings of their experiments, the paper's first."""
-    return [
-        {
-            "name": one.name,
-            "text": one.text,
-            "loop": LOOP[one.mode],
-            "thrust": one.thrust,
-            "rings": one.rings,
-            "excitation": one.excitation.to_dict(),
-        }
-        for one in EXPERIMENTS.values()
-    ]
+    return [*experiments()]
 
 
 @excitations_router.post("/preview", dependencies=[WATCHERS_MAY])
@@ -213,7 +203,7 @@ async def preview(lab: CurrentLab, asked: PreviewRequest) -> dict[str, Any]:
     model that guards its tuning, else by its virtual rig. Without a prediction it is null, and `why` has the reason.
     `again` is true if the prediction will come later: ask again.
     """
-    shown = await lab.log_bench.do(drawn, asked.excitation, asked.points, seconds=DRAW_S)
+    shown = await lab.log_bench.do(drawn, asked.excitation, asked.points)
     motion, why, again = await _motion(lab, asked, shown["excitation"], shown["unit"])
     return {**shown, "motion": motion, "why": why, "again": again}
 
@@ -233,7 +223,9 @@ async def _motion(
     name = lab.models.chosen(asked.drone)
     try:
         model = None if name is None else (name, lab.models.read(name))
-        gains = await _gains(own.drone)
+        entries = await own.connection.parameters.entries()
+        known = {"parameters": {entry.name: entry.value for entry in entries}}
+        gains = Gains.from_provenance(known) or DEFAULT
         thrust = HOVER if asked.thrust is None else asked.thrust
         given = (excitation, loop, rig, thrust, asked.x, state["rings_locked"], gains, model)
         return await lab.workbench.do(predicted, *given, seconds=PREDICT_S), "", False
@@ -241,14 +233,3 @@ async def _motion(
         return None, f"this computer is too slow: the prediction took longer than {PREDICT_S:g} s", False
     except TwodofError as error:
         return None, str(error), isinstance(error, Rejected)
-
-
-async def _gains(drone: AsyncDrone) -> Gains:
-    """Return the drone's gains. They are read once, because the drone reports each change."""
-    known = drone.parameters.known
-    if not set(GAIN_NAMES) <= known.keys():
-        known = await drone.parameters.all()
-    return (
-        Gains.from_provenance({"parameters": {name: known[name].value for name in GAIN_NAMES if name in known}})
-        or DEFAULT
-    )

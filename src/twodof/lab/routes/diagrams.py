@@ -23,7 +23,7 @@ from twodof.lab.lab import CurrentLab, LabServer
 from twodof.lab.processes import Answer, Told
 
 router = lab_router("/api/diagrams", "diagrams")
-FAST_S, COMPILE_S = 10.0, 30.0
+COMPILE_S = 30.0
 MOST_TEXT = MAX_BYTES + (1 << 20)  # a text in JSON has its quotes escaped
 Name = Annotated[FileName, Path(description="Name of a file in the folder of diagrams, without its ending.")]
 
@@ -100,7 +100,7 @@ async def compile_loop(lab: CurrentLab, request: Request, asked: LoopRequest) ->
 
 
 async def _work(
-    lab: LabServer, request: Request, work: Callable[..., Answer], *arguments: Any, seconds: float = FAST_S
+    lab: LabServer, request: Request, work: Callable[..., Answer], *arguments: Any, seconds: float | None = None
 ) -> Answer:
     return await lab.workbench.do(work, *arguments, seconds=seconds, gone=request.is_disconnected)
 
@@ -134,7 +134,6 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
 
 
 jobs_router = lab_router("/api/diagrams", "diagrams")
-REHEARSAL = "rehearsal"
 FLASH_S = 120.0
 
 
@@ -168,10 +167,8 @@ async def rehearsal(lab: CurrentLab, asked: RehearsalRequest) -> dict[str, Any]:
     """Start a job that does every step of flashing but the last. Nothing is changed on the drone."""
     template = await lab.workbench.do(diagram_work.template, asked.text, seconds=COMPILE_S)
     before, origin = await _flies(lab, asked.drone, template)
-    job = lab.jobs.start(REHEARSAL, diagram_work.rehearsal, asked.text, before, origin)
-    known = {one.id for one in lab.jobs.all}
-    lab.rehearsed = {name: kept for name, kept in lab.rehearsed.items() if name in known}
-    lab.rehearsed[job.id] = _mark(asked.drone, asked.text)
+    job = lab.jobs.start("rehearsal", diagram_work.rehearsal, asked.text, before, origin)
+    job.about = _mark(asked.drone, asked.text)
     return job.to_json()
 
 
@@ -188,7 +185,7 @@ async def flash(lab: CurrentLab, asked: FlashRequest) -> dict[str, Any]:
     """
     where = f"drone {asked.drone}"
     job = lab.jobs[asked.rehearsal]
-    if lab.rehearsed.get(job.id) != _mark(asked.drone, asked.text) or job.state != "done":
+    if job.about != _mark(asked.drone, asked.text) or job.state != "done":
         raise Rejected("this diagram was not rehearsed for this drone", where, "rehearse it first")
     fault = job.result["trial"]["fault"]
     if fault and not asked.force:

@@ -25,8 +25,6 @@ from twodof.lab.processes import Job
 
 router = lab_router("/api/identification", "identification")
 Second = Annotated[Finite, Field(ge=0.0, le=1e6)]
-CHECK_S = 30.0
-"""Longest time for checking an experiment or listing files [s]."""
 DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
 
@@ -67,7 +65,7 @@ class FitRequest(RequestBody):
 async def choices(lab: CurrentLab) -> dict[str, Any]:
     """List the experiments, the kinds of excitation, the structures, and the readable logs, the newest first."""
     written = lab.drones.recordings
-    rows = await lab.log_bench.do(lab.logs.listed, seconds=CHECK_S)
+    rows = await lab.log_bench.do(lab.logs.listed)
     logs = [row["name"] for row in rows if row["name"] not in written]
     return {**offered(), "structures": [AUTO, *STRUCTURES], "flights": logs}
 
@@ -77,7 +75,7 @@ async def planned(lab: CurrentLab, client: CurrentClient, asked: PlanRequest) ->
     """Start a job that predicts accuracy and motion of an experiment. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
     values = {} if asked.model is None else lab.models.values(asked.model)
-    await lab.log_bench.do(check, asked.experiment, seconds=CHECK_S)
+    await lab.log_bench.do(check, asked.experiment)
     given = (asked.experiment, rig, values, asked.rehearse)
     return lab.jobs.start("plan", plan, *given, client=client).to_json()
 
@@ -98,10 +96,10 @@ async def flown(lab: CurrentLab, asked: FlightRequest) -> dict[str, Any]:
     key = None if lab.settings.key is None else str(lab.settings.key)
     folder = str(lab.logs.folder)
     given = (stop, one.url, asked.drone, key, made, asked.seed, folder)
+    lent = ExitStack()
+    lent.enter_context(one.lend())
     job = lab.jobs.start("flight", fly_experiment, *given, in_real_time=True)
-    running = {one.id for one in lab.jobs.all if not one.over}  # one that ended long ago is not even remembered
-    lab.stops = {name: kept for name, kept in lab.stops.items() if name in running} | {job.id: stop}
-    lent = one.lend()
+    job.stop = stop
     lab.jobs.when_over(job, lambda ended: _flown(one, lent, ended))
     return job.to_json()
 
@@ -110,8 +108,8 @@ async def flown(lab: CurrentLab, asked: FlightRequest) -> dict[str, Any]:
 async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> dict[str, Any]:
     """End a flight: the drone disarms at once, and the log is kept."""
     found = lab.jobs[job]
-    if (stop := lab.stops.get(job)) is not None:
-        stop.set()
+    if found.stop is not None:
+        found.stop.set()
     return found.to_json()
 
 
@@ -131,7 +129,7 @@ def _flown(one: LabDrone, lent: ExitStack, job: Job) -> None:
     """Take the drone back from the job, and send the log's name to all clients."""
     lent.close()
     if isinstance(job.result, dict):
-        one.tell_log(job.result["log"])
+        one.tell("log", name=job.result["log"])
 
 
 models_router = lab_router("/api/models", "models")
@@ -159,7 +157,7 @@ class ControllerRequest(RequestBody):
 @models_router.get("")
 async def models(lab: CurrentLab) -> list[dict[str, Any]]:
     """List the kept models; `pitch` is True for tuning and design, else `why` has the reason."""
-    return await lab.log_bench.do(lab.models.rows, seconds=CHECK_S)
+    return await lab.log_bench.do(lab.models.rows)
 
 
 @models_router.get("/{name}")

@@ -29,7 +29,7 @@ from twodof.report.plots.comparison_view import MOST_FLIGHTS
 router = lab_router("/api/logs", "logs")
 MOST_SUMMARIES = 4000
 MOST_UPLOADED = MAX_FILE_BYTES // 2
-READ_S, CONVERT_S = 30.0, 90.0
+CONVERT_S = 90.0
 Name = Annotated[LogName, Path(description="Name of a log in the list.")]
 Moment = Annotated[float | None, Query(description="In the log's time [s]; left out: the whole log.")]
 Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Points of each curve, about.")]
@@ -217,5 +217,5 @@ def _window(begin: float | None, end: float | None) -> tuple[float, float] | Non
     return begin, end
 
 
-async def _work(lab: LabServer, work: Callable[..., Answer], *arguments: Any, seconds: float = READ_S) -> Answer:
+async def _work(lab: LabServer, work: Callable[..., Answer], *arguments: Any, seconds: float | None = None) -> Answer:
     return await lab.log_bench.do(work, *arguments, seconds=seconds)

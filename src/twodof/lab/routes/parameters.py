@@ -19,7 +19,7 @@ from twodof.lab.answers import Finite, NotThere, RequestBody
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.folders import FileName, LogName
 from twodof.lab.lab import CurrentLab
-from twodof.lab.models import measured_steps
+from twodof.lab.models import judge, measured_steps, predicted_step
 from twodof.lab.routes.session import NamedDrone
 
 router = lab_router("/api/drones/{number}/parameters", "parameters")
@@ -177,8 +177,6 @@ def _unit(entry: ParameterEntry) -> str:
 
 
 tuning_router = lab_router("/api/tuning", "tuning")
-READING_S = 30.0
-"""Longest time for reading a log [s]."""
 StepSize = Annotated[Finite, Field(ge=0.001, le=0.8)]
 USUAL_STEP = math.radians(10.0)
 
@@ -225,7 +223,7 @@ async def preview(lab: CurrentLab, one: NamedDrone, asked: ChangesRequest) -> di
     """
     name = _model(lab, one, asked)
     try:
-        told = await lab.guard.judge(one, asked.changes, name, asked.goal)
+        told = await lab.guard.ask(judge, one, asked.changes, name, asked.goal)
     except DiagramError as reason:
         return {"why": f"{reason.what}: {reason.remedy}" if reason.remedy else reason.what, "model": name}
     return {
@@ -244,7 +242,8 @@ async def step(lab: CurrentLab, one: NamedDrone, asked: ChangesRequest) -> dict[
     `why` has the reason if the band is missing, as for a law without a linear model, else "".
     """
     try:
-        return {"why": "", **await lab.guard.step(one, asked.changes, _model(lab, one, asked), asked.goal)}
+        model = _model(lab, one, asked)
+        return {"why": "", **await lab.guard.ask(predicted_step, one, asked.changes, model, asked.goal)}
     except DiagramError as reason:
         return {"why": reason.what}
 
@@ -269,7 +268,7 @@ async def measured(
     `unclear` has the reason if there are none: the log has no modes, cannot be read, or was deleted.
     """
     try:
-        found = await lab.log_bench.do(measured_steps, str(lab.whole_log(log)), goal, seconds=READING_S)
+        found = await lab.log_bench.do(measured_steps, str(lab.whole_log(log)), goal)
     except (LogError, NotThere, Rejected, Timeout) as reason:
         found = {"steps": [], "unclear": reason.what}
     return {"log": log, **found}
