@@ -23,7 +23,7 @@ from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.experiments import KINDS
 from twodof.identify.greybox import fit
 from twodof.identify.information import predict
-from twodof.identify.ready_made import FRICTION_BEFORE, POLES_BEFORE
+from twodof.identify.ready_made import FRICTION_PRIOR, POLES_PRIOR
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
 from twodof.models.structures import pitch_on_cart, pitch_rate, rail
@@ -113,10 +113,10 @@ def _pitch(flown: Experiment, rig: Mapping[str, float]) -> Case:
     closed = flown.mode != "open-loop"
     if rig["lag"] > 0.0 and not closed:
         short = flown.excitation.duration < LONG * PERIOD
-        return Case(flown.name, flown, pitch_rate(lag=True), PITCH, prior={} if short else POLES_BEFORE)
+        return Case(flown.name, flown, pitch_rate(lag=True), PITCH, prior={} if short else POLES_PRIOR)
     if rig["lag"] > 0.0:
         cart = {**cart_parameters(rig), "play": rig["ring_play"]}
-        return Case(flown.name, flown, pitch_on_cart(), PITCH, values=cart, prior={**POLES_BEFORE, **FRICTION_BEFORE})
+        return Case(flown.name, flown, pitch_on_cart(), PITCH, values=cart, prior={**POLES_PRIOR, **FRICTION_PRIOR})
     structure = pitch_rate()
     if not closed:
         return Case(flown.name, flown, structure, PITCH)

@@ -18,7 +18,7 @@ from twodof.flightlog.files import read_log
 from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
-from twodof.identify.ready_made import BEND_BEFORE, FRICTION_BEFORE, machine_of
+from twodof.identify.ready_made import BEND_PRIOR, FRICTION_PRIOR, machine_of
 from twodof.identify.record import Record
 from twodof.models.structures import pitch_on_cart, pitch_rate
 from twodof.rig.parameters import load_rig
@@ -108,7 +108,7 @@ def _fitted(
     """
     if record.steps < LONG:
         return fit(pitch_rate(lag=True), record, estimate=UNKNOWNS, values=poles)
-    known = {**FRICTION_BEFORE, **(BEND_BEFORE if "bend" in more else {})}
+    known = {**FRICTION_PRIOR, **(BEND_PRIOR if "bend" in more else {})}
     return fit(pitch_on_cart(), record.pieces(), estimate=(*UNKNOWNS, "coulomb", *more), values=on_cart, prior=known)
 
 

@@ -58,7 +58,7 @@ def test_remarks_name_contradicted_and_repeated_priors() -> None:
     against = fit(constant(), measured(3, 1000), prior={"c": (2.0, 0.1)})
     assert any("contradict what was known of c, 2 +- 0.1" in remark for remark in against.remarks)
     repeated = fit(constant(), measured(3), prior={"c": (3.0, 0.001)})
-    assert any("c is mostly what was known before" in remark for remark in repeated.remarks)
+    assert any("c is mostly its prior" in remark for remark in repeated.remarks)
 
 
 @pytest.mark.parametrize("given", [(1.0,), (1.0, 0.0), (math.nan, 1.0), "ab", 3.0])

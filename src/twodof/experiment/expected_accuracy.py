@@ -23,8 +23,8 @@ from twodof.identify.ready_made import (
     TOLD,
     TRAVEL,
     FlownMachine,
-    known_before,
     known_cart,
+    priors_of,
     structure_for,
 )
 from twodof.identify.record import Record
@@ -196,7 +196,7 @@ def expected_accuracy(
         if kind == "attitude":
             structure = structure_for(kind)
             known = {**known_cart(stops, structure, free=not one.rings), **known}
-            before = known_before(stops, structure)
+            before = priors_of(stops, structure)
         planned = _Plan(cut(log, kind), kind, known, before, free=not one.rings)
         found, worse = planned.information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:

@@ -86,7 +86,7 @@ class IdentifiedFlight:
             "tests": [test for one in found.identification for test in _tests(one.output, one)],
             "estimates": [self._row(label) for label in (*found.labels, *found.summed)],
             "held": dict(found.held),
-            "known_before": {name: list(one) for name, one in found.prior.items()},
+            "prior": {name: list(one) for name, one in found.prior.items()},
             "correlation": {"labels": list(found.labels), "rows": [_listed(row) for row in found.correlation]},
             "condition_number": found.condition_number,
             "disturbance": found.disturbance.text,

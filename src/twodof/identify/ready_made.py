@@ -24,16 +24,16 @@ from twodof.models.structures import free_response, pitch_on_cart, pitch_rate, r
 from twodof.rig.parameters import NAMES, load_rig
 from twodof.rig.steady_state import cart_parameters, model_parameters, moment_gain
 
-POLES_BEFORE: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.05, 0.05)})
-"""What the real drone's logs tell of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
+POLES_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.05, 0.05)})
+"""Priors from the real drone's logs of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
 
 The stiffness is 5.2 +- 1.4 1/s2. The damping is between that of the free response beside dry friction, .036, and with
 all of it taken for viscous, .10."""
 
-FRICTION_BEFORE: Mapping[str, tuple[float, float]] = MappingProxyType({"coulomb": (0.05, 0.05)})
+FRICTION_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"coulomb": (0.05, 0.05)})
 """The bearing's dry friction: not less than nothing, and a fraction of the .26 rad/s2 with the rotors at rest."""
 
-BEND_BEFORE: Mapping[str, tuple[float, float]] = MappingProxyType({"bend": (0.0, 1.0)})
+BEND_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"bend": (0.0, 1.0)})
 """What a large moment may lack: of the hardest of the real logs, .35, an eighth."""
 
 FREE = 1e3
@@ -61,8 +61,8 @@ class FlownMachine:
         return known_cart(load_rig(self.rig).snapshot(), structure, self.free)
 
     def prior(self, structure: Structure) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation of what is known less well; it is estimated along."""
-        return known_before(None if self.rig == _REAL else load_rig(self.rig).snapshot(), structure)
+        """Return mean and standard deviation of the unknowns with a prior; they are estimated too."""
+        return priors_of(None if self.rig == _REAL else load_rig(self.rig).snapshot(), structure)
 
     def estimate(self, structure: Structure) -> tuple[str, ...]:
         """Return the unknowns to estimate in closed loop.
@@ -79,15 +79,15 @@ def known_cart(rig: Mapping[str, float], structure: Structure, free: bool) -> di
     return {name: value for name, value in known.items() if name in structure.unknowns}
 
 
-def known_before(rig: Mapping[str, float] | None, structure: Structure) -> dict[str, tuple[float, float]]:
-    """Mean and deviation of the poles, of the bearing's friction and of `bend`, where the structure has them.
+def priors_of(rig: Mapping[str, float] | None, structure: Structure) -> dict[str, tuple[float, float]]:
+    """Return mean and deviation of the poles, of the bearing's friction and of `bend`, where the structure has them.
 
     The poles' means are those of the `rig` with its rotors running; without one, those that the real logs tell.
     """
-    poles = dict(POLES_BEFORE)
+    poles = dict(POLES_PRIOR)
     if rig is not None:
         poles = {name: (model_parameters(rig)[f"{name}_run"], poles[name][1]) for name in poles}
-    before = {**poles, **FRICTION_BEFORE, **BEND_BEFORE}
+    before = {**poles, **FRICTION_PRIOR, **BEND_PRIOR}
     return {name: one for name, one in before.items() if name in structure.unknowns}
 
 
@@ -289,7 +289,7 @@ def by_output_error(
 
     `machines` are those of the flights, one for each of `records` and then of `others`. In closed loop
     the cart is held at its calibration, and less certain figures are priors. A prior that is not asked for is held at
-    its mean. In a long open loop the poles are known before. `free` is the impulse's record of a
+    its mean. In a long open loop the poles have priors. `free` is the impulse's record of a
     doublet: its fit with the same structure fixes the poles. Several `records` are repetitions, each fitted by itself.
     Raises IdentificationError as `fit` and `repeat`, and for flights in closed loop of different machines.
     """
@@ -330,7 +330,7 @@ def by_output_error(
     elif experiment == "doublet" and free is None and min(one.steps for one in records) >= LONG:
         # Slow noise passes for a swing of a long test signal, which a short one does not know of.
         known = machine.prior(structure)
-        before = {name: one for name, one in known.items() if name in POLES_BEFORE and name not in given}
+        before = {name: one for name, one in known.items() if name in POLES_PRIOR and name not in given}
     elif experiment == "velocity":
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if "theta" in structure.inputs else "x"

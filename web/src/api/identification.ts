@@ -121,7 +121,7 @@ export interface FitView {
   estimates: EstimateRow[];
   held: Record<string, number>;
   /** Prior mean and standard deviation. */
-  known_before: Record<string, [number, number]>;
+  prior: Record<string, [number, number]>;
   correlation: { labels: string[]; rows: (number | null)[][] };
   disturbance: string;
   /** Standard deviations are robust, since the residuals are not white. */
