@@ -106,9 +106,11 @@ def test_a_flight_in_closed_loop_holds_the_rig(logs: dict[str, FlightLog]) -> No
 def test_a_long_open_loop_uses_priors_of_poles() -> None:
     signal = Multisine.schroeder(0.05, 2.0, range(2, 13), lead=0.2, repeat=2)
     flown = Laboratory("lab").fly(Experiment("multisine", "open-loop", signal, rings=True, hold=20.0, rest=0.4), 2)
-    found = identify_flight(FlightLog(flown.log.channels, {"rig": "lab"})).greybox
+    whole = identify_flight(FlightLog(flown.log.channels, {"rig": "lab", "flown": {"virtual": True}}))
+    found = whole.greybox
     assert set(found.prior) == {"lag", "w_n", "xi"}
     # The rig's mu is 298.3, half a per cent less as the battery sags; its tau 21.2 ms.
+    assert whole.truth["mu"] == pytest.approx(296.0, abs=0.5)
     assert abs(found["mu"] - 296.0) < 3.3 * found.sigma("mu")
     assert abs(found["tau"] - 0.0212) < 3.3 * found.sigma("tau")
 

@@ -113,14 +113,19 @@ def _rig_in(log: FlightLog) -> tuple[str | None, bool]:
 def reference_values(log: FlightLog, experiment: str, start: float, stop: float) -> dict[str, float]:
     """Return the true values of an experiment's `PURPOSE` if its log says that the rig was virtual; else none.
 
-    mu is that at the thrust from `start` to `stop` [s].
+    mu and k_v are those at the battery's voltage from `start` to `stop` [s], mu also at the thrust.
     """
     name, virtual = _rig_in(log)
-    thrust = log["T"].slice(start, stop).value if "T" in log else np.zeros(0)
-    if name is None or not virtual or not thrust.size or not np.isfinite(thrust).all():
+    if name is None or not virtual or "T" not in log or "voltage" not in log:
         return {}
     rig = load_rig(name).snapshot()
-    known = {**model_parameters(rig), "mu": moment_gain(rig, float(np.mean(thrust)))}
+    thrust = log["T"].slice(start, stop).value
+    volts = log["voltage"].slice(start - 1.0, stop + 1.0).value  # it comes twice a second
+    if not thrust.size or not volts.size or not np.isfinite([*thrust, *volts]).all():
+        return {}
+    supply = float(np.mean(volts / (rig["voltage_full"] - rig["resistance"] * rig["hover_current"])) ** 2)
+    known = model_parameters(rig)
+    known |= {"mu": supply * moment_gain(rig, float(np.mean(thrust))), "k_v": supply * known["k_v"]}
     return {unknown: known[unknown] for unknown in PURPOSE[experiment]}
 
 
