@@ -214,6 +214,8 @@ def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page
     keep(server, "moved", text)
     page = drawn(open_page(link(server, "/moved")))
     inlet = page.locator(".svelte-flow__node[data-id='i:theta']")
+    outer = page.locator(".svelte-flow__node-inlet:not([data-id='i:theta']), .svelte-flow__node-outlet")
+    places = outer.evaluate_all("nodes => nodes.map((node) => node.style.transform)")
     inlet.click()
     sheet(page).focus()
     page.keyboard.press("Shift+ArrowUp")
@@ -221,12 +223,13 @@ def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page
     page.keyboard.press("Control+s")
     expect(page.get_by_text("moved is saved")).to_be_visible()
     saved = from_json(kept(server, "moved"))
-    assert set(saved.input_positions) == {"theta"}
+    assert "theta" in saved.input_positions
     assert all(part.position is not None for part in saved.parts.values())
     place = inlet.evaluate("node => node.style.transform")
     page.reload()
     expect(inlet).to_be_visible()
     assert inlet.evaluate("node => node.style.transform") == place
+    assert outer.evaluate_all("nodes => nodes.map((node) => node.style.transform)") == places
     inlet.click()
     sheet(page).press("ArrowDown")
     for answer, parts in (("Stay here", 0), ("Open notch-attitude and lose them", 1)):
@@ -234,6 +237,69 @@ def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page
         page.get_by_role("button", name=answer).press("Enter")
         expect(page).to_have_url(re.compile("[?]starter=notch-attitude$" if parts else "#/diagram/moved$"))
         expect(block(page, "notch")).to_have_count(parts)
+
+
+def test_panels_fold_and_the_stock_controller_flies_beside(server: Served, open_page: OpenPage) -> None:
+    page = drawn(open_page(link(server, "?starter=notch-attitude")))
+    page.get_by_role("switch", name="Stock beside").click()
+    plots = page.locator("#plots")
+    expect(plots.get_by_text("stock", exact=True)).to_have_count(2)
+    page.get_by_role("tab", name="Margins").click()
+    page.get_by_role("button", name="Show the Bode plots below").click()
+    expect(plots.get_by_text("rate, stock", exact=True)).to_have_count(2)
+    expect(page.get_by_role("columnheader", name="stock").first).to_be_visible()
+    readable(page, "diagram-bode")
+    page.set_viewport_size({"width": 1280, "height": 720})
+    block(page, "notch").click()
+    before = sheet(page).bounding_box()
+    sheet(page).press("h")
+    expect(page.get_by_role("tab", name="Margins")).to_be_hidden()
+    after = sheet(page).bounding_box()
+    assert before is not None
+    assert after is not None
+    assert after["width"] * after["height"] > 1.8 * before["width"] * before["height"]
+    readable(page, "diagram-folded")
+    page.set_viewport_size({"width": 1280, "height": 720})
+    sheet(page).press("Enter")
+    expect(page.get_by_label(re.compile("^frequency"))).to_be_focused()
+    page.reload()
+    expect(page.get_by_role("combobox", name="Search a block to add")).to_be_hidden()
+    page.get_by_role("button", name="Palette").click()
+    expect(page.get_by_role("combobox", name="Search a block to add")).to_be_visible()
+
+
+def test_blocks_are_commented_grouped_and_given_parameters(server: Served, open_page: OpenPage) -> None:
+    page = drawn(open_page(link(server, "?starter=notch-attitude")))
+    flown = page.locator("section[data-flights]")
+
+    def flies(action: Callable[[], object]) -> None:
+        before = flown.get_attribute("data-flights") or ""
+        action()
+        expect(flown).not_to_have_attribute("data-flights", before)
+        expect(page.get_by_text("It compiles")).to_be_visible()
+
+    block(page, "rate_limit").click()
+    flies(lambda: page.get_by_label("high bound to").select_option("a new parameter of the diagram"))
+    expect(page.get_by_label("high bound to")).to_have_value("rate_limit_high")
+    for name, key in (("notch", "y"), ("pid", "y"), ("rate_limit", "x")):
+        block(page, name).click()
+        flies(lambda key=key: sheet(page).press(f"Control+Shift+{key}"))  # type: ignore[misc]
+        expect(block(page, name).locator(".commented")).to_be_visible()
+    readable(page, "diagram-commented")
+    page.set_viewport_size({"width": 1280, "height": 720})
+    page.get_by_role("button", name="Use it again").click()
+    expect(block(page, "rate_limit").locator(".commented")).to_have_count(0)
+    block(page, "pid").click(modifiers=["Shift"])
+    flies(lambda: sheet(page).press("Control+g"))
+    flies(page.get_by_role("button", name="Ungroup").click)
+    expect(block(page, "pid").locator(".commented")).to_be_visible()
+    page.keyboard.press("Control+s")
+    page.get_by_role("button", name="Save", exact=True).click()
+    expect(page.get_by_text("notch_attitude is saved")).to_be_visible()
+    saved = from_json(kept(server, "notch_attitude"))
+    assert saved.params["rate_limit_high"].value == 20.0
+    assert saved.parts["rate_limit"].params == {"high": "rate_limit_high"}
+    assert str(saved.parts["pid"].item.text).startswith("Commented through")
 
 
 def test_an_algebraic_loop_is_marked(server: Served, open_page: OpenPage) -> None:

@@ -93,6 +93,7 @@ def _described(row: Any) -> ParameterDescription:
         str(row.get("shortDesc", "")),
         kind="float" if kind == "float" else "int32",
         path=str(row.get("path", "")),
+        tuning="path" in row,
     )
 
 

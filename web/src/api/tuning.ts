@@ -11,6 +11,8 @@ export interface ParameterRow {
   high: number | null;
   unit: string;
   text: string;
+  /** Name on the page. */
+  label: string;
   /** Path in the user's controller, else "". */
   path: string;
   tuning: boolean;
@@ -20,6 +22,7 @@ export interface ParameterRow {
 
 export interface Change {
   name: string;
+  label?: string;
   before: number | null;
   value: number | null;
   unit?: string;
@@ -76,7 +79,17 @@ export interface Snapshot {
 
 const at = (drone: number) => `drones/${drone}/parameters`;
 
-export const listParameters = (drone: number) => get<ParameterRow[]>(at(drone));
+export async function listParameters(drone: number): Promise<ParameterRow[]> {
+  return (await get<ParameterRow[]>(at(drone))).map(labelled);
+}
+
+/** Label a parameter: one of a user's diagram by its path there, in the unit that the diagram declares. */
+export function labelled(row: Omit<ParameterRow, "label">): ParameterRow {
+  if (row.path === "") return { ...row, label: row.name };
+  const label = row.path.slice(row.path.indexOf(".") + 1);
+  const text = row.text.startsWith(row.path) ? row.text.slice(row.path.length).replace(/^: /, "") : row.text;
+  return { ...row, label, text, unit: `=${row.unit}` };
+}
 
 /** Change all parameters or none; `confirm` is the token of an unstable preview. */
 export function changeParameters(drone: number, changes: Record<string, number>, confirm = "") {

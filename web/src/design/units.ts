@@ -26,8 +26,9 @@ const SHOWN: Record<string, ScreenUnit> = {
   "": { name: "", factor: 1, decimals: 4 },
 };
 
-/** Return the unit of the screen for an SI unit. */
+/** Return the unit of the screen for an SI unit. `=rad/s` stays rad/s. */
 export function screenUnit(unit: string): ScreenUnit {
+  if (unit.startsWith("=")) return { name: raised(unit.slice(1)), factor: 1, decimals: 4 };
   return SHOWN[unit] ?? { name: raised(unit), factor: 1, decimals: 4 };
 }
 

@@ -1,11 +1,37 @@
 import { describe, expect, it } from "vitest";
 import { loopOnSheet, placeOfFinding, seenFrom } from "../../src/pages/diagram/model/blame";
-import { diagramAt, diagramFrom, type Diagram } from "../../src/pages/diagram/model/diagram";
+import { placesOn, staying } from "../../src/pages/diagram/canvas/places";
+import {
+  diagramAt,
+  diagramFrom,
+  diagramTo,
+  findPart,
+  wiresOf,
+  writeDiagram,
+  type Diagram,
+  type Point,
+} from "../../src/pages/diagram/model/diagram";
+import { commented, commentToggled } from "../../src/pages/diagram/model/comment";
+import {
+  addInput,
+  addParam,
+  addPart,
+  bind,
+  changePart,
+  connect,
+  declare,
+  freeBorder,
+  moveThings,
+  renameParam,
+  renamePart,
+  setRate,
+  withParameter,
+} from "../../src/pages/diagram/model/edits";
 import { wiresAt } from "../../src/pages/diagram/model/wiring";
-import { grouped } from "../../src/pages/diagram/model/grouping";
-import { readJson, type Json } from "../../src/pages/diagram/model/json_text";
+import { grouped, ungrouped } from "../../src/pages/diagram/model/grouping";
+import { readJson, real, type Json, type Num } from "../../src/pages/diagram/model/json_text";
 import { instead, searched } from "../../src/pages/diagram/model/search";
-import { Shapes, type Port, type Shape } from "../../src/pages/diagram/model/shapes";
+import { canBeParameter, Shapes, type Port, type Shape } from "../../src/pages/diagram/model/shapes";
 import { originOf } from "../../src/pages/diagram/model/signals";
 import { parameterValues, structureOf } from "../../src/pages/diagram/model/structure";
 
@@ -172,5 +198,121 @@ describe("the palette", () => {
     expect(instead("statefl")).toContain("state machine");
     expect(instead("MATLAB Function")).toContain("Python");
     for (const word of ["", "s", "gain", "step"]) expect(instead(word)).toBe("");
+  });
+});
+
+describe("inputs and outputs without a place", () => {
+  const at = ([x, y]: Point): Num[] => [real(x), real(y)];
+  /** The sheet of `given`, its parts placed in a row. */
+  function placed(): { d: Diagram; shapes: Shapes } {
+    const { d, shapes } = given();
+    return { d: { ...d, parts: d.parts.map((part, i) => ({ ...part, position: at([150 * i, 100]) })) }, shapes };
+  }
+  const edit = (d: Diagram, shapes: Shapes, change: (d: Diagram) => Diagram): Diagram => staying(d, change(d), shapes);
+
+  it("stay where they are drawn when a block is inserted or moved, and in the file", () => {
+    const { d, shapes } = placed();
+    const block = findPart(d, "a")!;
+    const before = placesOn(d, shapes);
+    const inserted = edit(d, shapes, (one) =>
+      connect(addPart(one, { ...block, name: "far", position: at([900, 400]) }), "u", "far.u"),
+    );
+    const moved = edit(inserted, shapes, (one) => moveThings(one, new Map([["p:a", [-400, 600]]])));
+    for (const after of [inserted, moved, diagramFrom(diagramTo(moved))]) {
+      for (const id of ["i:u", "o:out"]) expect(placesOn(after, shapes).get(id), id).toEqual(before.get(id));
+    }
+  });
+  it("take no place in the file for an edit that moves nothing", () => {
+    const { d, shapes } = placed();
+    const after = edit(d, shapes, (one) => declare(one, "params", "p", "value", real(7)));
+    expect([after.inputPositions, after.outputPositions]).toEqual([{}, {}]);
+  });
+  it("cover no other one when they are added, and go back to the border by Arrange", () => {
+    const { d, shapes } = placed();
+    const two = edit(d, shapes, (one) => addInput(one, { name: "v" }));
+    const three = edit(two, shapes, (one) => addInput(one, { name: "w" }));
+    const rows = ["i:u", "i:v", "i:w"].map((id) => placesOn(three, shapes).get(id)![1]);
+    expect(new Set(rows).size).toBe(3);
+    const far = edit(three, shapes, (one) => moveThings(one, new Map([["i:u", [500, 500]]])));
+    const back = edit(far, shapes, freeBorder);
+    expect(placesOn(back, shapes).get("i:u")).toEqual(placesOn(d, shapes).get("i:u"));
+  });
+});
+
+describe("ungrouping", () => {
+  it("takes grouping back, whatever has been named and bound since", () => {
+    const { d, shapes } = given();
+    const { diagram, name } = grouped(d, new Set(["a", "b"]), shapes);
+    const back = ungrouped(diagram, name, [
+      [0, 0],
+      [100, 0],
+    ]);
+    expect(back.names).toEqual(["a", "b"]);
+    const wires = (one: Diagram): string[] => wiresOf(one).map(String).sort();
+    expect(wires(back.diagram)).toEqual(wires(d));
+    expect(findPart(back.diagram, "a")?.params).toEqual({ k: "p" });
+    expect(structureOf({ ...back.diagram, parts: [], connections: [] }, shapes)).toBe(
+      structureOf({ ...d, parts: [], connections: [] }, shapes),
+    );
+  });
+  it("names blocks anew and lifts parameters that were not bound", () => {
+    const { d, shapes } = given();
+    const sub = findPart(d, "sub")!.item as Diagram;
+    const inner = renamePart(addParam(sub, { name: "p", value: real(3) }), "g", "a");
+    const bound = changePart(inner, "a", (part) => bind(part, "k", "p"));
+    const { diagram, names } = ungrouped(
+      changePart(d, "sub", (part) => ({ ...part, item: bound })),
+      "sub",
+      [[0, 0]],
+    );
+    expect(names).toEqual(["a_2"]);
+    expect(findPart(diagram, "a_2")?.params).toEqual({ k: "p_2" });
+    expect(parameterValues(diagram, shapes)).toMatchObject({ p: 5, p_2: 3 });
+    expect(originOf(diagram, [], "a_2", shapes)?.path).toBe("a_2.y");
+    expect(wiresOf(diagram)).toContainEqual(["a_2", "out"]);
+  });
+  it("is refused where a block would lose its rate", () => {
+    const { d } = given();
+    expect(() =>
+      ungrouped(
+        changePart(d, "sub", (part) => setRate(part, 2, 0)),
+        "sub",
+        [[0, 0]],
+      ),
+    ).toThrow("rate");
+  });
+});
+
+describe("a commented block", () => {
+  it("keeps its wires and comes back as it was", () => {
+    const { d, shapes } = given();
+    const names = new Set(["a", "b"]);
+    for (const how of ["out", "through"] as const) {
+      const made = commentToggled(d, names, how, shapes);
+      expect(made.connections).toBe(d.connections);
+      expect(commented(findPart(made, "a")!)?.how).toBe(how);
+      expect(findPart(made, "a")?.params).toEqual({ p: "p" });
+      const renamed = renameParam(made, "p", "gain");
+      expect(findPart(commentToggled(renamed, names, how, shapes), "a")?.params).toEqual({ k: "gain" });
+      expect(writeDiagram(commentToggled(made, names, how, shapes))).toBe(writeDiagram(d));
+    }
+  });
+});
+
+describe("a new parameter", () => {
+  it("has the block's value, unit and bounds, and the block follows it", () => {
+    const { d, shapes } = given();
+    const parameter = { ...port("k"), unit: "s/rad", value: 2, low: 0, high: null, text: "gain" };
+    const made = withParameter(d, findPart(d, "b")!, parameter);
+    expect(made.params.at(-1)).toEqual({
+      name: "b_k",
+      value: real(2),
+      unit: "s/rad",
+      low: real(0),
+      text: "gain",
+    });
+    expect(findPart(made, "b")?.params).toEqual({ k: "b_k" });
+    expect(parameterValues(made, shapes)).toMatchObject({ b_k: 2 });
+    expect(canBeParameter({ ...parameter, value: [[1, 2]] })).toBe(false);
   });
 });

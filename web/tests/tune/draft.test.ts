@@ -1,18 +1,22 @@
 import { describe, expect, it } from "vitest";
-import type { ParameterRow } from "../../src/api/tuning";
+import { labelled, type ParameterRow } from "../../src/api/tuning";
 import {
   asRecord,
+  boundsText,
   differences,
   grouped,
   groupOf,
   mistake,
   same,
   searched,
+  shown,
+  sliderEnds,
+  slides,
   withChanges,
 } from "../../src/pages/tune/draft";
 
 function row(name: string, given: Partial<ParameterRow> = {}): ParameterRow {
-  return {
+  return labelled({
     name,
     value: 0.0854,
     kind: "float",
@@ -25,7 +29,7 @@ function row(name: string, given: Partial<ParameterRow> = {}): ParameterRow {
     tuning: true,
     same_as: "",
     ...given,
-  };
+  });
 }
 const ROWS = [
   row("SAFE_LINK_T", { unit: "s", text: "silence of the link", tuning: false, high: 30, value: 3, default: 3 }),
@@ -74,7 +78,7 @@ describe("the edits", () => {
       ["SAFE_LINK_T", 2],
     ]);
     const found = differences(ROWS, edits);
-    expect(found).toEqual([{ name: "SAFE_LINK_T", before: 3, value: 2, unit: "s" }]);
+    expect(found).toEqual([{ name: "SAFE_LINK_T", label: "SAFE_LINK_T", before: 3, value: 2, unit: "s" }]);
     expect(asRecord(found)).toEqual({ SAFE_LINK_T: 2 });
   });
   it("take a snapshot's values as far as the drone has them", () => {
@@ -89,6 +93,33 @@ describe("the edits", () => {
     expect(mistake(ROWS[1]!, 0.07)).toBe("");
     expect(mistake(ROWS[1]!, 0.2)).toContain("0.12");
     expect(mistake(ROWS[4]!, 2.5)).toContain("whole");
+    expect(boundsText(row("SAFE_LINK_T", { unit: "s", low: 0, high: 30 }))).toBe("0 to 30 s");
     expect(mistake(row("OWN", { low: -3.4028234663852886e38, high: 3.4028234663852886e38 }), 1e9)).toBe("");
+  });
+});
+
+describe("a parameter of an own diagram", () => {
+  const NONE = { low: -3.4028234663852886e38, high: 3.4028234663852886e38 };
+  const own = (path: string, given: Partial<ParameterRow> = {}) =>
+    row("TMP_PID_N", { path: `attitude_control.${path}`, text: `attitude_control.${path}: corner`, ...given });
+  it("has its whole name, its words and the unit of the diagram", () => {
+    const corner = own("pid.N", { unit: "rad/s", value: 100, default: 100, low: 0, high: NONE.high });
+    expect([corner.label, corner.text]).toEqual(["pid.N", "corner"]);
+    expect(shown(corner.value, corner.unit)).toBe("100");
+    expect(boundsText(corner)).toBe("at least 0 rad/s");
+    expect(mistake(corner, 150)).toBe("");
+    expect(own("k", { text: "attitude_control.k" }).text).toBe("");
+  });
+  it("has a slider without bounds too, which reaches past its value", () => {
+    expect(slides(own("k", NONE))).toBe(true);
+    expect(slides(row("RATE_LIMIT", NONE))).toBe(false);
+    expect(boundsText(own("k", NONE))).toBe("no bounds");
+    for (const [given, ends] of [
+      [{ default: 3, value: 3 }, [0, 6]],
+      [{ default: -3, value: -9 }, [-9, 0]],
+      [{ default: 0, value: 0 }, [-1, 1]],
+      [{ default: 3, value: 3, low: 1 }, [1, 6]],
+    ] as const)
+      expect(sliderEnds(own("k", { ...NONE, ...given }))).toEqual(ends);
   });
 });

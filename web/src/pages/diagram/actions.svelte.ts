@@ -1,12 +1,13 @@
 // What a menu, a key or a button does with the open sheet.
+import { tick } from "svelte";
 import { toast, tried } from "../../state/toasts.svelte";
 import { arranged } from "./canvas/arrange";
-import { boxesOn, partPlaces, placesOn } from "./canvas/flow";
+import { boxesOn, partPlaces, placesOn } from "./canvas/places";
 import { partSize } from "./canvas/symbol";
-import { editor, EMPTY, inputId, outputId, partId, wireId } from "./editor.svelte";
+import { editor, EMPTY } from "./editor.svelte";
 import { ALIGNMENTS, aligned, leastFor, type Alignment } from "./model/align";
 import { copyText, paste } from "./model/clipboard";
-import { findPart, sourceOf, type Part, type Point } from "./model/diagram";
+import { findPart, inputId, outputId, partId, sourceOf, wireId, type Part, type Point } from "./model/diagram";
 import {
   addInput,
   addOutput,
@@ -24,10 +25,12 @@ import {
   removeOutput,
   removeParts,
 } from "./model/edits";
-import { grouped } from "./model/grouping";
+import { commented, commentToggled, type Comment } from "./model/comment";
+import { grouped, ungrouped } from "./model/grouping";
 import { real } from "./model/json_text";
 import { tops } from "./model/shapes";
 import { joined, wiresAt } from "./model/wiring";
+import { folds } from "./folds.svelte";
 import type { Loose } from "./insert.svelte";
 import { scopes } from "./simulate/scopes.svelte";
 
@@ -48,6 +51,8 @@ class Acts {
   focusPalette: () => void = () => undefined;
   focusPanel: () => void = () => undefined;
   focusName: () => void = () => undefined;
+  /** Tab of the panel beside the sheet. */
+  tab = $state<"block" | "problems" | "margins" | "code">("block");
   openAlignMenu: () => void = () => undefined;
   save: () => void = () => undefined;
   /** Node whose wires are walked by W. */
@@ -56,7 +61,15 @@ class Acts {
 
   openPart(name: string): void {
     if (findPart(editor.here, name)?.item.is === "diagram") editor.enter([...editor.path, name]);
-    else this.focusPanel();
+    else void this.toPanel("focusPanel");
+  }
+
+  /** Show the properties of what is selected, and move the focus there. */
+  async toPanel(field: "focusPanel" | "focusName"): Promise<void> {
+    folds.fold("side", false);
+    this.tab = "block";
+    await tick();
+    this[field]();
   }
 
   copy(): void {
@@ -122,6 +135,31 @@ class Acts {
       return made.diagram;
     });
     editor.select([partId(name)]);
+  }
+
+  ungroup(): void {
+    const [name = ""] = editor.parts;
+    const part = findPart(editor.here, name);
+    const comment = part && commented(part);
+    if (comment) return this.comment(comment.how);
+    if (editor.parts.length !== 1) return editor.say("select one sub-diagram");
+    let names: readonly string[] = [];
+    const refused = editor.apply(`ungroup ${name}`, (d) => {
+      const made = ungrouped(d, name, part?.item.is === "diagram" ? partPlaces(part.item, editor.shapes) : []);
+      names = made.names;
+      return made.diagram;
+    });
+    if (refused !== "") toast(refused, "info");
+    else editor.select(names.map(partId));
+  }
+
+  comment(how: Comment): void {
+    const names = editor.parts;
+    if (names.length === 0) return editor.say("select the blocks to comment");
+    const refused = editor.apply(`comment ${how} ${names.join(", ")}`, (d) =>
+      commentToggled(d, new Set(names), how, editor.shapes),
+    );
+    if (refused !== "") toast(refused, "info");
   }
 
   async arrange(): Promise<void> {

@@ -3,16 +3,12 @@ import * as api from "../../api/diagrams";
 import { toastError } from "../../state/toasts.svelte";
 import type { Opened } from "./address";
 import { presumed } from "./canvas/arrange";
-import { diagramAt, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
+import { staying } from "./canvas/places";
+import { diagramAt, partId, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
 import { edited, EditFault, settled } from "./model/edits";
 import { History } from "./model/history.svelte";
 import { writeJson } from "./model/json_text";
 import { Shapes } from "./model/shapes";
-
-export const partId = (name: string): string => `p:${name}`;
-export const inputId = (name: string): string => `i:${name}`;
-export const outputId = (name: string): string => `o:${name}`;
-export const wireId = (destination: string): string => `w:${destination}`;
 
 export const EMPTY: Diagram = {
   is: "diagram",
@@ -98,14 +94,14 @@ class Editor {
     if (unknown.length > 0) this.known++;
   }
 
-  /** Edit the open sheet. Returns "" or why it was refused. */
-  apply(called: string, edit: (d: Diagram) => Diagram, tag = ""): string {
+  /** Edit the open sheet, or that at `path`. Returns "" or why it was refused. */
+  apply(called: string, edit: (d: Diagram) => Diagram, tag = "", path = this.path): string {
     const before = this.root;
     let after: Diagram;
     try {
-      after = edited(before, this.path, (d) => {
+      after = edited(before, path, (d) => {
         const made = edit(d);
-        return made === d ? d : settled(made);
+        return made === d ? d : settled(staying(d, made, this.shapes));
       });
     } catch (failure) {
       if (!(failure instanceof EditFault)) throw failure;

@@ -1,8 +1,8 @@
 // A block put at the loose end of a wire, into a wire, or just somewhere: found by a search where it is to stand.
 import { addBorder, made } from "./actions.svelte";
-import { placesOn } from "./canvas/flow";
-import { editor, outputId, partId } from "./editor.svelte";
-import { findPart, sourceOf, type Point } from "./model/diagram";
+import { placesOn } from "./canvas/places";
+import { editor } from "./editor.svelte";
+import { findPart, outputId, partId, sourceOf, type Point } from "./model/diagram";
 import { addPart, connect } from "./model/edits";
 import type { Choice } from "./model/search";
 import { sourceText, tops } from "./model/shapes";

@@ -1,6 +1,6 @@
 // What was edited and not sent yet: groups, search, what differs, what cannot be.
 import type { Change, ParameterRow } from "../../api/tuning";
-import { boundsMistake, editableNumber, written } from "../../design/units";
+import { boundsMistake, editableNumber, screenUnit, written } from "../../design/units";
 
 export type Edits = ReadonlyMap<string, number>;
 
@@ -67,9 +67,28 @@ export function shown(value: number | null, unit = ""): string {
 export const lowOf = (row: ParameterRow) => (row.low === null || row.low < -BOUNDLESS ? -Infinity : row.low);
 export const highOf = (row: ParameterRow) => (row.high === null || row.high > BOUNDLESS ? Infinity : row.high);
 
-/** Return whether a parameter has a slider: a gain with bounds. */
+/** Return whether a parameter has a slider: a gain with bounds, or of a user's diagram. */
 export const slides = (row: ParameterRow) =>
-  row.tuning && row.kind === "float" && Number.isFinite(lowOf(row)) && Number.isFinite(highOf(row));
+  row.tuning && row.kind === "float" && (row.path !== "" || Number.isFinite(highOf(row) - lowOf(row)));
+
+/** Return the ends of the slider: the bounds, or where there are none twice the default. */
+export function sliderEnds(row: ParameterRow): [low: number, high: number] {
+  const [low, high] = [lowOf(row), highOf(row)];
+  const twice = 2 * (row.default || row.value);
+  const [least, most] = twice === 0 ? [-1, 1] : [Math.min(0, twice), Math.max(0, twice)];
+  return [
+    Number.isFinite(low) ? low : Math.min(least, row.value, high),
+    Number.isFinite(high) ? high : Math.max(most, row.value, low),
+  ];
+}
+
+/** Write the bounds of a parameter. */
+export function boundsText(row: ParameterRow): string {
+  const [low, high] = [lowOf(row), highOf(row)].map((bound) => (Number.isFinite(bound) ? shown(bound, row.unit) : ""));
+  if (low === "" && high === "") return "no bounds";
+  const text = low === "" ? `at most ${high}` : high === "" ? `at least ${low}` : `${low} to ${high}`;
+  return `${text} ${screenUnit(row.unit).name}`.trim();
+}
 
 /** Return why a value is refused, or "". */
 export function mistake(row: ParameterRow, value: number): string {
@@ -81,7 +100,7 @@ export function mistake(row: ParameterRow, value: number): string {
 export function differences(rows: readonly ParameterRow[], edits: Edits): Change[] {
   return rows
     .filter((row) => edits.has(row.name) && !same(row, edits.get(row.name)!, row.value))
-    .map((row) => ({ name: row.name, before: row.value, value: edits.get(row.name)!, unit: row.unit }));
+    .map(({ name, label, value, unit }) => ({ name, label, before: value, value: edits.get(name)!, unit }));
 }
 
 /** Add the changes of a file or snapshot to the edits. */

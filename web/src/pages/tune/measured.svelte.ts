@@ -36,7 +36,7 @@ export class MeasuredSteps {
     });
     const timer = setInterval(() => {
       const rows = this.rows().filter((row) => row.same_as === "");
-      this.values[this.history.changes.length] = new Map(rows.map((row) => [row.name, row.value]));
+      this.values[this.history.changes.length] = new Map(rows.map((row) => [row.label, row.value]));
       this.live = this.watch.update();
     }, LOOK_MS);
     void this.readLatest();

@@ -44,6 +44,7 @@ export class Tuning {
   loaded = $state(false);
   /** Last change by the server's pages that can be undone: also after another page, or a reload. */
   last = $state.raw<readonly Change[]>([]);
+  readonly byName: ReadonlyMap<string, ParameterRow> = $derived(new Map(this.rows.map((row) => [row.name, row])));
   readonly changes = $derived(differences(this.rows, this.edits));
   private previewed = $state("");
   /** Preview of the present edits; undefined while it is outdated. */
@@ -144,7 +145,7 @@ export class Tuning {
       const now = new Map(changed.map((one) => [one.name, one.value]));
       this.rows = this.rows.map((row) => ({ ...row, value: now.get(row.name) ?? row.value }));
       this.edits = new Map();
-      toast(`Sent: ${changed.map((one) => one.name).join(", ")}`, "good");
+      toast(`Sent: ${changed.map(({ name }) => this.byName.get(name)?.label ?? name).join(", ")}`, "good");
       await this.refresh();
       return true;
     } catch (failure) {

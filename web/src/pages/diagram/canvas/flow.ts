@@ -1,18 +1,20 @@
 // From a diagram to the nodes and edges that xyflow draws. What did not change is given back as the very same object, so
 // that only what changed is drawn anew: 300 blocks must not cost a tenth of a second.
 import { MarkerType, Position, type Edge, type Node, type NodeHandle } from "@xyflow/svelte";
-import { inputId, outputId, partId, wireId } from "../editor.svelte";
 import {
   declaredName,
+  inputId,
   inputNames,
-  placeOf,
-  pointOf,
+  outputId,
+  partId,
+  wireId,
   wiresOf,
   type Diagram,
   type Part,
   type Point,
 } from "../model/diagram";
 import { portOf, sourceEnd, tops, type Port, type Shape, type Shapes } from "../model/shapes";
+import { partPlaces, TERMINAL_HEIGHT, terminalPlaces, terminalWidth } from "./places";
 import type { Box, Ends, Route, Router } from "./route";
 import { partSize, portPlace, type Size } from "./symbol";
 
@@ -44,15 +46,9 @@ export interface Marks {
   readonly scoped: ReadonlyMap<string, string>;
 }
 
-const TERMINAL_HEIGHT = 20; // its middle is on the grid, as the ports of blocks are: wires between them are straight
-const GAP = 60;
 const HANDLE = 7; // the dot of a port
 const SLICE_MS = 6; // of a frame, for the bends of wires
 const ARROW = { type: MarkerType.ArrowClosed, width: 14, height: 14 } as const;
-
-function terminalWidth(name: string): number {
-  return Math.min(190, Math.max(50, 10 * Math.ceil((name.length * 6.6 + 18) / 10)));
-}
 
 /** Nodes and edges; `left`: some wires are to be routed by another call. */
 export interface Drawn {
@@ -209,31 +205,6 @@ function terminal(
   };
 }
 
-/** Return the places of parts; parts without one stand below the others. */
-export function partPlaces(d: Diagram, shapes: Shapes): Point[] {
-  const placed = d.parts.map(placeOf);
-  const bottom = Math.max(
-    0,
-    ...placed.map((at, i) => (at === null ? 0 : at[1] + partSize(d.parts[i]!, shapes.of(d.parts[i]!.item)).height)),
-  );
-  let free = 0;
-  return placed.map((at) => at ?? ([160 * (free % 6), bottom + GAP + 100 * Math.floor(free++ / 6)] as const));
-}
-
-/** Return the places of all nodes by id. */
-export function placesOn(d: Diagram, shapes: Shapes): Map<string, Point> {
-  const places = partPlaces(d, shapes);
-  const parts = d.parts.map((part, i) => [partId(part.name), places[i]!] as const);
-  return new Map([...parts, ...terminalPlaces(d, shapes, places)]);
-}
-
-/** Return the boxes of all nodes by id. */
-export function boxesOn(d: Diagram, shapes: Shapes): Map<string, Box> {
-  const sizes = new Map(d.parts.map((part) => [partId(part.name), partSize(part, shapes.of(part.item))]));
-  const border = (id: string): Size => ({ width: terminalWidth(id.slice(2)), height: TERMINAL_HEIGHT });
-  return new Map([...placesOn(d, shapes)].map(([id, [x, y]]) => [id, { x, y, ...(sizes.get(id) ?? border(id)) }]));
-}
-
 export function extentOf(nodes: readonly SheetNode[]): Box {
   if (nodes.length === 0) return { x: 0, y: 0, width: 400, height: 200 };
   const boxes = nodes.map(boxOf);
@@ -241,41 +212,6 @@ export function extentOf(nodes: readonly SheetNode[]): Box {
   const right = Math.max(...boxes.map((box) => box.x + box.width));
   const bottom = Math.max(...boxes.map((box) => box.y + box.height));
   return { x, y, width: right - x, height: bottom - y };
-}
-
-/**
- * Inputs stand left of all parts, outputs right of them, each at the height of what it is wired to, if there is room; or
- * where they were moved to.
- */
-function terminalPlaces(d: Diagram, shapes: Shapes, places: readonly Point[]): Map<string, Point> {
-  const sizes = d.parts.map((part) => partSize(part, shapes.of(part.item)));
-  const middle = new Map(d.parts.map((part, i) => [part.name, places[i]![1] + sizes[i]!.height / 2]));
-  const left = Math.min(GAP, ...places.map(([x]) => x)) - GAP;
-  const right = Math.max(GAP, ...places.map(([x], i) => x + sizes[i]!.width)) + GAP;
-  const found = new Map<string, Point>();
-  const inputs = inputNames(d).map((name) => {
-    const to = d.connections.find(([source]) => source.split(".")[0] === name)?.[1].split(".")[0] ?? "";
-    return [inputId(name), middle.get(to)] as const;
-  });
-  const outputs = d.outputs.map(([name, source]) => [outputId(name), middle.get(source?.split(".")[0] ?? "")] as const);
-  for (const [rows, x] of [
-    [inputs, left],
-    [outputs, right],
-  ] as const) {
-    let next = -Infinity;
-    const lowest = Math.max(0, ...[...middle.values()]);
-    for (const [id, at] of rows.map(([id, y]) => [id, y ?? lowest] as const).sort((a, b) => a[1] - b[1])) {
-      const own = pointOf((x === left ? d.inputPositions : d.outputPositions)[id.slice(2)]);
-      if (own !== null) {
-        found.set(id, own);
-        continue;
-      }
-      const y = Math.max(10 * Math.round((at - TERMINAL_HEIGHT / 2) / 10), next);
-      found.set(id, [x === left ? x - terminalWidth(id.slice(2)) : x, y]);
-      next = y + 40;
-    }
-  }
-  return found;
 }
 
 function boxOf(node: SheetNode): Box {

@@ -1,7 +1,7 @@
 // The keys of the sheet. All that a mouse does can be done with them; the dialog of `?` lists them.
 import { act, described } from "../actions.svelte";
-import { toast } from "../../../state/toasts.svelte";
 import { editor } from "../editor.svelte";
+import { folds } from "../folds.svelte";
 import { looseEnd } from "../insert.svelte";
 import type { SheetNode } from "./flow";
 
@@ -23,22 +23,20 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["Ctrl + A", "select all blocks"],
   ["Ctrl + C, X, V, D", "copy, cut, paste, duplicate"],
   ["Ctrl + Z, Ctrl + Y", "undo, redo"],
-  ["Ctrl + G", "group into a sub-diagram"],
+  ["Ctrl + G", "group into a sub-diagram; with Shift: put its blocks in its place"],
+  ["Ctrl + Shift + X", "comment out: the outputs of what is selected are 0; again: use it"],
+  ["Ctrl + Shift + Y", "comment through: its outputs are its inputs; again: use it"],
   ["Ctrl + I", "flip what is selected: inputs to the other side"],
   ["M", "align what is selected, or space it evenly"],
   ["Ctrl + S, Ctrl + O", "save, open"],
   ["Ctrl + B", "flash: what would change is shown first"],
   ["L", "lay out automatically"],
   ["F", "show the whole sheet"],
+  ["H", "fold the panels around the sheet, or show them"],
   ["Esc", "select nothing; from all beside the sheet: back to the sheet"],
   ["?", "show these keys"],
 ];
 
-const NOT_COMMENTED = [
-  "A block is not commented out: what reads it would have no source",
-  "info",
-  "delete it (Del); Ctrl+Z brings it back",
-] as const;
 const STEP = 10;
 const LONG_STEP = 50;
 type Direction = "ArrowLeft" | "ArrowRight" | "ArrowUp" | "ArrowDown";
@@ -114,8 +112,9 @@ const WITH_CONTROL: Readonly<Record<string, (nodes: readonly SheetNode[]) => unk
 /** Keys of Simulink with Ctrl and Shift. */
 const WITH_SHIFT: Readonly<Record<string, () => unknown>> = {
   a: () => act.arrange(),
-  x: () => toast(...NOT_COMMENTED),
-  y: () => toast(...NOT_COMMENTED),
+  g: () => act.ungroup(),
+  x: () => act.comment("out"),
+  y: () => act.comment("through"),
 };
 const PLAIN: Readonly<Record<string, () => unknown>> = {
   a: () => act.focusPalette(),
@@ -123,8 +122,8 @@ const PLAIN: Readonly<Record<string, () => unknown>> = {
   w: () => act.nextWire(),
   c: () => (act.dialog = "connect"),
   i: () => (act.inserting = looseEnd(act.middle())),
-  Enter: () => act.focusPanel(),
-  F2: () => act.focusName(),
+  Enter: () => act.toPanel("focusPanel"),
+  F2: () => act.toPanel("focusName"),
   o: () => editor.parts.length === 1 && act.openPart(editor.parts[0]!),
   u: () => editor.leave(),
   s: () => act.scope(),
@@ -133,6 +132,7 @@ const PLAIN: Readonly<Record<string, () => unknown>> = {
   l: () => act.arrange(),
   m: () => act.openAlignMenu(),
   f: () => act.shownWhole++,
+  h: () => folds.toggleAll(),
   Escape: () => editor.select([]),
   "?": () => (act.dialog = "keys"),
 };

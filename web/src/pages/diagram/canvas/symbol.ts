@@ -1,4 +1,5 @@
 // What stands on a block, and how large it is.
+import { commented } from "../model/comment";
 import type { Block, Diagram, Part } from "../model/diagram";
 import { isObject, Num, type Json, type JsonObject } from "../model/json_text";
 import { tops, type Shape } from "../model/shapes";
@@ -41,6 +42,8 @@ const FIXED: Readonly<Record<string, string>> = {
 /** Return the text within a block. */
 export function symbol(part: Part): string {
   const { item } = part;
+  const held = commented(part)?.held;
+  if (held) return symbol(held);
   if (item.is === "diagram") return item.name;
   if (item.type === "custom" || item.type === "state_machine") {
     return typeof item.json["name"] === "string" ? item.json["name"] : item.type;
@@ -115,6 +118,8 @@ export function partSize(part: Part, shape: Shape): Size {
 }
 
 function measured(part: Part, shape: Shape): Size {
+  const held = commented(part)?.held;
+  if (held) return measured(held, shape);
   const inputs = tops(shape.inputs);
   const outputs = tops(shape.outputs);
   const named = (names: readonly string[]): number => (names.length > 1 ? Math.max(...names.map((n) => n.length)) : 0);

@@ -28,6 +28,8 @@ export interface Diagram {
   /** Positions of moved inputs and outputs by name. */
   readonly inputPositions: Positions;
   readonly outputPositions: Positions;
+  /** Places by id of what has none in the file, as they were drawn before the last edit; not written. */
+  readonly drawn?: ReadonlyMap<string, Point> | undefined;
 }
 export type Positions = Readonly<Record<string, readonly Num[]>>;
 
@@ -45,6 +47,12 @@ export interface Part {
   readonly presumed?: Point;
   readonly item: Block | Diagram;
 }
+
+// Ids of what stands on a sheet.
+export const partId = (name: string): string => `p:${name}`;
+export const inputId = (name: string): string => `i:${name}`;
+export const outputId = (name: string): string => `o:${name}`;
+export const wireId = (destination: string): string => `w:${destination}`;
 
 export class DiagramFault extends Error {}
 

@@ -9,10 +9,19 @@ import {
   type Positions,
 } from "./diagram";
 import { Num, real, type Json, type JsonObject } from "./json_text";
+import type { Parameter } from "./shapes";
 
 export class EditFault extends Error {}
 
 const NAME = /^[A-Za-z][A-Za-z0-9_]{0,62}$/;
+
+/** Return the diagram's name for a file's name, which may have other characters. */
+export function nameForFile(file: string): string {
+  return file
+    .replace(/\W+/g, "_")
+    .replace(/^(?![A-Za-z])/, "d")
+    .slice(0, 63);
+}
 
 /** Apply an edit to the sub-diagram at a path. */
 export function edited(root: Diagram, path: readonly string[], edit: (d: Diagram) => Diagram): Diagram {
@@ -99,9 +108,9 @@ export function moveThings(d: Diagram, places: ReadonlyMap<string, Point>): Diag
   };
 }
 
-/** Remove the positions of inputs and outputs. */
+/** Forget the places of inputs and outputs. */
 export function freeBorder(d: Diagram): Diagram {
-  return { ...d, inputPositions: {}, outputPositions: {} };
+  return { ...d, inputPositions: {}, outputPositions: {}, drawn: new Map() };
 }
 
 /** Write the presumed places once any node has a place of its own. */
@@ -305,6 +314,25 @@ export function newPart(d: Diagram, wanted: string, item: Block | Diagram, posit
 export function addParam(d: Diagram, declared: JsonObject): Diagram {
   checkName(d, declaredName(declared));
   return { ...d, params: [...d.params, declared] };
+}
+
+/** Declare a parameter of the diagram like one of a part, and bind that to it. */
+export function withParameter(d: Diagram, part: Part, parameter: Parameter): Diagram {
+  const { kind, width, unit, low, high, text } = parameter;
+  const one = (value: unknown): Json =>
+    typeof value === "boolean" ? value : kind === "real" ? real(Number(value)) : new Num(String(value));
+  const name = freeName(d, `${part.name}_${parameter.name.replaceAll(".", "_")}`.slice(0, 56));
+  const declared: JsonObject = {
+    name,
+    value: Array.isArray(parameter.value) ? parameter.value.map(one) : one(parameter.value),
+    ...(kind !== "real" && { kind }),
+    ...(width !== null && { width: new Num(String(width)) }),
+    ...(unit !== "" && { unit }),
+    ...(low !== null && { low: real(low) }),
+    ...(high !== null && { high: real(high) }),
+    ...(text !== "" && { text }),
+  };
+  return changePart(addParam(d, declared), part.name, (p) => bind(p, parameter.name, name));
 }
 
 export function removeParam(d: Diagram, name: string): Diagram {

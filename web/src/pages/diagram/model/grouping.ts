@@ -1,6 +1,15 @@
-// Blocks become a sub-diagram: what comes in and goes out of them becomes its inputs and outputs.
-import { declaredName, placeOf, type Connection, type Diagram, type Output } from "./diagram";
-import { freeName, newPart, EditFault } from "./edits";
+// Blocks become a sub-diagram, and a sub-diagram its blocks.
+import {
+  declaredName,
+  findPart,
+  placeOf,
+  type Connection,
+  type Diagram,
+  type Output,
+  type Part,
+  type Point,
+} from "./diagram";
+import { EditFault, freeName, movePart, nameBeside, newPart, taken } from "./edits";
 import { Num, type JsonObject } from "./json_text";
 import type { Port, Shapes } from "./shapes";
 
@@ -74,11 +83,92 @@ export function grouped(d: Diagram, names: ReadonlySet<string>, shapes: Shapes):
   };
 }
 
+const MOST_STEPS = 200;
+
+/** Put the parts of a sub-diagram in its place, at `places`; returns their names too. */
+export function ungrouped(
+  d: Diagram,
+  name: string,
+  places: readonly Point[],
+): { diagram: Diagram; names: readonly string[] } {
+  const outer = findPart(d, name);
+  if (outer?.item.is !== "diagram") throw new EditFault(`${name} is not a sub-diagram`);
+  if (Object.keys(outer.conditions).length > 0 || outer.rate !== null) {
+    throw new EditFault(`${name} has a condition or a rate of its own, which its blocks would lose: remove it first`);
+  }
+  const sub = outer.item;
+  const used = new Set([...taken(d)].filter((one) => one !== name));
+  const free = (wanted: string): string => {
+    const made = nameBeside(used, wanted);
+    used.add(made);
+    return made;
+  };
+  const names = new Map(sub.parts.map((part) => [part.name, free(part.name)]));
+  const params = new Map(sub.params.map(declaredName).map((one) => [one, outer.params[one] ?? free(one)]));
+  const lifted = sub.params.filter((one) => outer.params[declaredName(one)] === undefined);
+  const fed = new Map(d.connections.filter(([, to]) => to.split(".")[0] === name).map(([from, to]) => [to, from]));
+  const given = new Map(sub.outputs);
+
+  /** Follow a source on the outer sheet to what gives it; null where that is not connected. */
+  function outside(source: string, steps = 0): string | null {
+    const [part, ...path] = source.split(".");
+    if (part !== name) return source;
+    if (steps > MOST_STEPS) throw new EditFault(`a wire of ${name} leads back to itself: delete it first`);
+    const named = given.has(path[0] ?? "") || given.size !== 1;
+    const inner = named ? given.get(path[0] ?? "") : [...given.values()][0];
+    return inner === null || inner === undefined
+      ? null
+      : inside([inner, ...path.slice(named ? 1 : 0)].join("."), steps);
+  }
+  function inside(source: string, steps = 0): string | null {
+    const [first = "", ...path] = source.split(".");
+    const part = names.get(first);
+    if (part !== undefined) return [part, ...path].join(".");
+    for (let n = path.length; n >= 0; n--) {
+      const from = fed.get([name, first, ...path.slice(0, n)].join("."));
+      if (from !== undefined) return outside([from, ...path.slice(n)].join("."), steps + 1);
+    }
+    return null;
+  }
+  const conditioned = (part: Part, follow: (source: string) => string | null): Part => {
+    const kept = Object.entries(part.conditions).map(([key, source]) => [key, follow(source)] as const);
+    const lost = kept.find(([, source]) => source === null);
+    if (lost) throw new EditFault(`the ${lost[0]} of ${part.name} is not connected: connect it first`);
+    return { ...part, conditions: Object.fromEntries(kept) };
+  };
+  const [left, top] = [Math.min(...places.map(([x]) => x)), Math.min(...places.map(([, y]) => y))];
+  const [x, y] = placeOf(outer) ?? [0, 0];
+  const inner = sub.parts.map((part, i): Part => {
+    const bound = Object.entries(part.params).map(([own, one]) => [own, params.get(one) ?? one]);
+    const [px, py] = places[i]!;
+    const moved = movePart({ ...part, name: names.get(part.name)! }, [x + px - left, y + py - top]);
+    return conditioned({ ...moved, params: Object.fromEntries(bound) }, inside);
+  });
+  const wire = (from: string | null, to: string): Connection[] => (from === null ? [] : [[from, to]]);
+  return {
+    names: [...names.values()],
+    diagram: {
+      ...d,
+      params: [...d.params, ...lifted.map((one) => ({ ...one, name: params.get(declaredName(one))! }))],
+      parts: d.parts.flatMap((part) => (part === outer ? inner : [conditioned(part, outside)])),
+      connections: [
+        ...d.connections.filter(([, to]) => to.split(".")[0] !== name).flatMap(([from, to]) => wire(outside(from), to)),
+        ...sub.connections.flatMap(([from, to]) => {
+          const [part = "", ...port] = to.split(".");
+          return wire(inside(from), [names.get(part) ?? part, ...port].join("."));
+        }),
+      ],
+      outputs: d.outputs.map(([one, source]) => [one, source === null ? null : outside(source)] as const),
+    },
+  };
+}
+
 function stem(source: string): string {
   return source.replace(/\./g, "_").slice(0, 56);
 }
 
-function declared(name: string, port: Port): JsonObject {
+/** Return the declaration of an input like a port. */
+export function declared(name: string, port: Port): JsonObject {
   return {
     name,
     ...(port.kind === "real" ? {} : { kind: port.kind }),

@@ -209,6 +209,12 @@ export function parameterOf(declared: JsonObject): Parameter {
   };
 }
 
+/** Return whether a diagram can declare a parameter like that of a block: a number, or a list. */
+export function canBeParameter({ value, width }: Parameter): boolean {
+  const all = width === null ? [value] : value;
+  return Array.isArray(all) && all.every((one) => typeof one === "number" || typeof one === "boolean");
+}
+
 function bound(json: Json | undefined): number | null {
   return json instanceof Num ? json.value : null;
 }

@@ -6,20 +6,15 @@ import { editor } from "../editor.svelte";
 import { findings } from "../findings.svelte";
 import type { Diagram } from "../model/diagram";
 import { parameterValues, structureOf } from "../model/structure";
-import type { ControlLoop } from "../../../loops";
-import { beginWith, flown, modeOf, PERIOD, type Scenario } from "./scenario";
+import { tried } from "../../../state/toasts.svelte";
+import { beginWith, modeOf, type Scenario } from "./scenario";
 import { scopes } from "./scopes.svelte";
-import type { Answer, Asked } from "./worker";
+import { LoopWorker, type Flown } from "./loop_worker";
 
 const WAIT_MS = 40;
 
-export interface Flown {
-  readonly loop: ControlLoop;
-  readonly time: Float64Array;
-  readonly signals: Readonly<Record<string, Float64Array>>;
-  readonly prefix: string;
-  readonly given: Readonly<Record<string, string>>;
-}
+/** Return the diagram of the stock controller of a template. */
+export const stockText = (template: string) => api.starter(`stock-${template.replace("_control", "")}`);
 
 class Simulation {
   scenario = $state.raw<Scenario>(beginWith("attitude_control"));
@@ -30,15 +25,22 @@ class Simulation {
   /** Time from the change to the result [ms]. */
   took = $state({ all: 0, compiled: false });
   flights = $state(0);
-  private worker: Worker | undefined;
-  private loop: api.PortableLoop | undefined;
+  /** Whether the stock controller flies beside the diagram. */
+  beside = $state(false);
+  /** What the plots show. */
+  plot = $state<"step" | "bode">("step");
+  stock = $state.raw<Flown | undefined>(undefined);
+  private readonly mine = new LoopWorker();
+  private readonly other = new LoopWorker();
   private structure = "";
   /** Time of the first change since the last flight, or 0. */
   private began = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private asked = 0;
   private abort: AbortController | undefined;
-  private readonly waiting = new Map<number, (answer: Answer) => void>();
+  /** Scenario of the stock controller's flight, and the loop that its worker holds. */
+  private stockOf = "";
+  private stockLoop = "";
 
   changed(): void {
     this.began ||= performance.now();
@@ -49,9 +51,9 @@ class Simulation {
   stop(): void {
     clearTimeout(this.timer);
     this.abort?.abort();
-    this.worker?.terminate();
-    this.worker = undefined;
-    this.structure = "";
+    this.mine.stop();
+    this.other.stop();
+    this.structure = this.stockOf = this.stockLoop = "";
   }
 
   private async fly(): Promise<void> {
@@ -64,7 +66,7 @@ class Simulation {
     if (compiled && !this.mayCompile(root)) return;
     try {
       if (compiled) await this.compile(structure);
-      if (turn !== this.asked || this.loop === undefined) return;
+      if (turn !== this.asked) return;
       await this.run(turn, began, compiled);
     } catch (failure) {
       if (turn !== this.asked) return;
@@ -99,12 +101,8 @@ class Simulation {
     this.abort?.abort();
     const abort = (this.abort = new AbortController());
     [this.busy, this.problem] = ["compiling", ""];
-    const loop = await api.compileLoop(editor.text, this.scenario.rig, abort.signal);
-    if (abort.signal.aborted) throw new DOMException("another one is compiled", "AbortError");
-    const module = Uint8Array.from(atob(loop.module), (c) => c.charCodeAt(0)).buffer;
-    const answer = await this.ask({ do: "load", id: 0, module, table: loop.interface, ticks: loop.ticks });
-    if (answer.error !== undefined) throw new Error(answer.error);
-    [this.loop, this.structure] = [loop, structure];
+    const loop = await this.mine.load(editor.text, this.scenario.rig, abort.signal);
+    this.structure = structure;
     if (this.template !== loop.template) {
       this.template = loop.template;
       this.scenario = { ...beginWith(loop.template), rig: this.scenario.rig };
@@ -112,61 +110,42 @@ class Simulation {
   }
 
   private async run(turn: number, began: number, compiled: boolean): Promise<void> {
-    const loop = this.loop!;
+    const loop = this.mine.loop!;
     this.busy = "flying";
-    const plan = flown(this.scenario, loop.template, loop.setpoints);
     const own = parameterValues(editor.root, editor.shapes, loop.prefix);
     const shown = scopes.all.map((one) =>
       one.of === "input" ? (loop.given[one.path] ?? one.path) : loop.prefix + one.path,
     );
-    const outputs = loop.interface.outputs.map((one) => one.path);
-    const elements = outputs.filter((path) => shown.some((one) => path === one || path.startsWith(`${one}.`)));
-    const answer = await this.ask({
-      do: "run",
-      id: 0,
-      parameters: { ...loop.parameters, ...plan.parameters, ...own },
-      states: loop.states,
-      inputs: plan.inputs,
-      columns: plan.columns,
-      steps: plan.steps,
-      wanted: [...new Set([`${plan.loop.loop}0`, `true_${plan.loop.loop}`, "M", "T", ...elements])],
-    });
+    const result = await this.mine.fly(this.scenario, own, shown);
     if (turn !== this.asked) return;
-    this.busy = "";
-    this.began = 0;
-    if (answer.error !== undefined || answer.signals === undefined) {
-      this.problem = answer.error ?? "nothing came back";
-      return;
-    }
-    const time = Float64Array.from({ length: plan.steps }, (_, k) => k * PERIOD);
-    const { prefix, given } = loop;
-    this.problem = "";
-    this.result = { loop: plan.loop, time, signals: answer.signals, prefix, given };
+    [this.busy, this.began, this.problem, this.result] = ["", 0, "", result];
     this.flights++;
     this.took = { all: performance.now() - began, compiled };
+    await tried(() => this.flyStock());
   }
 
-  private ask(asked: Asked): Promise<Answer> {
-    this.worker ??= this.start();
-    const id = Math.random();
-    return new Promise((resolve) => {
-      this.waiting.set(id, resolve);
-      this.worker!.postMessage({ ...asked, id });
-    });
+  async compare(on: boolean): Promise<void> {
+    this.beside = on;
+    await tried(() => this.flyStock());
   }
 
-  private start(): Worker {
-    const worker = new Worker(new URL("./worker.ts", import.meta.url), { type: "module" });
-    worker.onmessage = ({ data }: MessageEvent<Answer>) => {
-      this.waiting.get(data.id)?.(data);
-      this.waiting.delete(data.id);
-    };
-    worker.onerror = (fault) => {
-      for (const [id, resolve] of this.waiting)
-        resolve({ id, error: fault.message || "the simulation's worker failed" });
-      this.waiting.clear();
-    };
-    return worker;
+  /** Fly the template's stock controller through the same scenario. */
+  private async flyStock(): Promise<void> {
+    const { template, scenario } = this;
+    const of = this.beside ? JSON.stringify([template, scenario]) : "";
+    if (of === this.stockOf) return;
+    [this.stockOf, this.stock] = [of, undefined];
+    if (of === "") return;
+    try {
+      const loop = `${template} ${scenario.rig}`;
+      if (this.stockLoop !== loop) await this.other.load(await stockText(template), scenario.rig);
+      this.stockLoop = loop;
+      const flown = await this.other.fly(scenario);
+      if (this.stockOf === of) this.stock = flown;
+    } catch (failure) {
+      [this.stockOf, this.beside] = ["", false];
+      throw failure;
+    }
   }
 
   choose(change: Partial<Scenario>): void {
