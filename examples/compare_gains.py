@@ -31,5 +31,6 @@ for name, gains in candidates.items():
     seen = step_figures(response.time - first, response.value, start=0.0, final=asked)
     left = degrees(asked - response.value[-25:].mean())
     effort = np.sqrt(np.mean(flight.log["M"].slice(first, second).value ** 2))
-    print(f"{name:28} {seen.rise_time:8.3f} {100.0 * seen.overshoot:13.1f} {seen.settling_time:12.2f} ", end="")
+    settled = f"{seen.settling_time:.2f}" if seen.settling_time < np.inf else "never"
+    print(f"{name:28} {seen.rise_time:8.3f} {100.0 * seen.overshoot:13.1f} {settled:>12} ", end="")
     print(f"{left:18.2f} {effort:9.4f}")

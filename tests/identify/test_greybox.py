@@ -211,6 +211,8 @@ def test_a_bound_that_holds_is_named() -> None:
     # What goes with mu is as unsure as if mu were free.
     assert found.sigma("w_n") > fit(pitch_rate(), record, estimate=OTHERS, values={"mu": 300.0}).sigma("w_n")
     assert any("mu is held by its bound" in remark for remark in found.remarks)
+    assert "at bound" in found.table()
+    assert "nan" not in found.table()
     assert json.loads(found.to_json())["estimates"]["mu"]["sigma"] is None
 
 

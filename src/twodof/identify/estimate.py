@@ -148,11 +148,12 @@ class Estimate:
         for label in (*self.labels, *self.summed):
             white, robust = self._deviation(self.covariance, label), self._deviation(self.robust, label)
             # For residuals that wander, only a lower limit is known.
-            least = f"{'> ' if self.wanders and not math.isnan(robust) else ''}{robust:.2g}"
+            least = "-" if math.isnan(robust) else f"{'> ' if self.wanders else ''}{robust:.2g}"
+            sigma = "at bound" if label in self.at_bound else "-" if math.isnan(white) else f"{white:.2g}"
             unit = self.unit(label) or "-"
             if label not in self.labels:
                 unit += f" ({' + '.join(self.sums[label])})"
-            lines.append(f"{label:{width}}{self[label]:12.5g}{white:11.2g}{least:>11}  {unit}")
+            lines.append(f"{label:{width}}{self[label]:12.5g}{sigma:>11}{least:>11}  {unit}")
         if self.disturbance.kind != "white":
             lines.append(f"disturbance: {self.disturbance.text}")
         lines.extend(self.supposed)
