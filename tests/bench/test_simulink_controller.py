@@ -8,6 +8,7 @@ from twodof.blocks.reference import Reference
 from twodof.compile import build
 
 
+@pytest.mark.long
 def test_native_equals_the_reference() -> None:
     rows = flight(400, "mixed")
     inputs = {name: rows[name] for name in (BUSES.names or ()) if name != "live_time_ticks"}

@@ -343,6 +343,7 @@ def sample(port: Port, k: int) -> Any:
     return one if port.width is None else [one] * port.width
 
 
+@pytest.mark.long
 @settings(max_examples=12, deadline=None)
 @given(buses(2))
 def test_any_bus_goes_through_a_diagram_as_it_is(bus: Bus) -> None:

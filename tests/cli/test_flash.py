@@ -184,6 +184,7 @@ def test_a_drone_keeps_a_flashed_controller_over_restarts(folder: Path, capfd: p
         assert drone.state.rig.controller == "stock"
 
 
+@pytest.mark.long
 def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     answer(capfd, "flash", "lqr-attitude", "--to", "sim")
     before = (folder / "data/flashed/sim/attitude_control.json").read_bytes()

@@ -29,6 +29,7 @@ def test_a_flown_experiment_equals_the_simulated_one(tmp_path: Path, capfd: pyte
     np.testing.assert_array_equal(read_log(file)["q"].value, simulated.astype(np.float32))
 
 
+@pytest.mark.long
 def test_what_cannot_be_flown_is_said(capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["fly", "doublt", "--rig", "paper"]) == 2
     assert "no experiment called 'doublt'" in capfd.readouterr().err

@@ -149,6 +149,7 @@ def test_a_program_that_cannot_start_is_named(first: int, tmp_path: Path, capfd:
     assert said.err.count("remedy:") == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_an_early_end_leaves_no_process(first: int, tmp_path: Path, by: signal.Signals, status: int) -> None:
     os.mkfifo(tmp_path / "rig")  # which nobody writes: the flight controller waits for it for ever

@@ -211,6 +211,7 @@ def _datagrams(there: socket.socket) -> list[bytes]:
             return found
 
 
+@pytest.mark.long
 @on_virtual_time
 async def test_a_client_that_stops_reading_holds_nobody_up() -> None:
     serve = (*CLIENTS, Serve("tcpin://127.0.0.1:0"))

@@ -88,6 +88,7 @@ def test_a_million_operations_run_within_their_fuel() -> None:
     assert machine.step({"u": 1.0})["y"] > 0.0
 
 
+@pytest.mark.long
 def test_many_values_alive_at_once_compile_in_seconds() -> None:
     """Each of 2,500 sums is read twice, the last one first: zig's -O3 takes 18 s of processor time for it."""
     count = 2500

@@ -42,6 +42,7 @@ def random_values(rng: np.random.Generator, names: list[str]) -> list[Any]:
     return [value(KINDS[name]) for name in names]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("target", ["native", "wasm"])
 def test_the_flight_code_steps_as_by_name(target: str, precision: str) -> None:

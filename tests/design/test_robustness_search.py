@@ -53,6 +53,7 @@ def test_search_misses_nothing_that_a_dense_one_finds(count: int) -> None:
     assert {search >= 1.0 for search, _ in both} == {False, True}, "the cases are on both sides of the border"
 
 
+@pytest.mark.long
 def test_what_is_not_robust_is_not_written(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     row = {"unit": "", "sigma_robust": None}
     model = {

@@ -65,6 +65,7 @@ def test_off_its_limits_anti_windup_changes_nothing() -> None:
         assert getattr(other, name) == pytest.approx(getattr(plain, name), abs=1e-12)
 
 
+@pytest.mark.long
 def test_the_command_says_that_it_winds_up(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     model = {"model": {"w_n": 3.4, "xi": 0.08, "mu": 200.0, "tau": 0.012}}
     (tmp_path / "model.json").write_text(json.dumps(model))

@@ -74,6 +74,7 @@ def test_settling_time_is_that_of_one_response() -> None:
     assert one.settling_time <= middle <= one.settling_time + PERIOD
 
 
+@pytest.mark.long
 def test_too_large_gains_are_reported() -> None:
     wild = previewed(replace(DEFAULT, rate=(0.12, 0.4, 0.003), attitude=12.0))
     assert not wild.verdict.robust
@@ -124,12 +125,14 @@ def test_the_stock_law_is_that_of_its_gains() -> None:
     assert law.digest != PitchLaw.flown({**DEFAULTS, "RATE_KP": 0.08}).digest
 
 
+@pytest.mark.long
 def test_gains_that_destabilise_the_family_are_reported() -> None:
     law = PitchLaw.flown({**DEFAULTS, "RATE_KP": 0.12, "RATE_KD": 0.003, "ATT_KP": 15.0})
     assert not law.verdict(DRONE).robust
     assert not law.preview(DRONE, 0.17).verdict.robust, "page and server see the same"
 
 
+@pytest.mark.long
 def test_a_users_controller_has_its_own_parameters() -> None:
     """The pid-attitude starter with the stock gains is the stock law: both previews show one response."""
     diagram = pid_attitude(DEFAULT)

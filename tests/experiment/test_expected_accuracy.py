@@ -105,6 +105,7 @@ def test_an_excitation_that_meets_a_stop_is_refused(still: Laboratory) -> None:
         expected_accuracy(wild, still)
 
 
+@pytest.mark.long
 def test_a_flight_in_closed_loop_claims_what_was_planned() -> None:
     """Within a third: a flight also shows how its controller answered the gusts."""
     for name in ("attitude-steps", "attitude-prbs"):

@@ -137,6 +137,7 @@ def test_the_ground_log_is_the_simulators_rounded_to_the_wires_float32(flown: Bo
     assert_rounded(flown.flight.log, simulated)
 
 
+@pytest.mark.long
 def test_the_ground_hears_what_the_failsafe_does(flown: Both) -> None:
     told, on_board = flown.flight.log["safety"], flown.on_board
     ticks = np.rint((told.time - BOOT) / PERIOD).astype(int)
@@ -429,6 +430,7 @@ def test_ctrl_c_disarms_and_hands_over_what_was_flown() -> None:
     )  # it was stopped past the half, in tenths of a second
 
 
+@pytest.mark.long
 def test_lost_samples_are_gaps_and_fail_the_check() -> None:
     plan = script(experiment("attitude-steps"))
     values = np.zeros((plan.steps, len(COLUMNS)))

@@ -102,6 +102,7 @@ async def test_a_clients_clock_that_jumps_by_less_than_a_year_is_not_noticed() -
         assert stands(whole.steps[-1])
 
 
+@pytest.mark.long
 @on_virtual_time
 async def test_a_client_with_a_clock_a_year_ahead_is_refused() -> None:
     """It signs times that cannot be: they are refused and counted; level within 1 s, then down as without a link."""

@@ -94,6 +94,7 @@ async def test_a_last_resort_that_gives_no_number_stops_the_motors_at_once() -> 
         await drone.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("trusted", "wrong"),
     [
@@ -131,6 +132,7 @@ async def test_a_controller_in_its_sandbox_that_overruns_is_replaced_in_its_tick
         await drone.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("conditions", [RING, FREE], ids=["rings", "free"])
 @on_virtual_time
 async def test_set_points_at_both_limits_in_turn_meet_no_stop(conditions: dict[str, Any]) -> None:

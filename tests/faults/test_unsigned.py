@@ -62,6 +62,7 @@ def off(seen: Seen) -> bool:
     return not seen.step.armed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("through", ["fcu", "clients"])
 @on_virtual_time
 async def test_an_unsigned_frame_does_not_stand_in_for_a_pilot_that_died(through: str) -> None:
@@ -194,6 +195,7 @@ def the_same_each_time() -> Iterator[None]:
         yield
 
 
+@pytest.mark.long
 def test_nothing_unsigned_changes_anything_but_the_counters_of_what_was_refused() -> None:
     """Each from a stranger's address and the pilot's or drone's, to flight controller, companion, client."""
     hostile = frames_of_every_kind()

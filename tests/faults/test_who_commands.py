@@ -35,6 +35,7 @@ async def test_of_two_that_connect_at_once_one_commands_and_the_other_is_told_wh
         await pilot.close()
 
 
+@pytest.mark.long
 @on_virtual_time
 async def test_what_the_other_commands_in_flight_is_refused_counted_and_changes_nothing_but_a_kill_stops() -> None:
     async with Whole() as whole:

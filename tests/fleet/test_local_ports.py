@@ -62,6 +62,7 @@ def test_another_error_stays_as_it_is() -> None:
     assert with_port_owner(LinkError("is in use", "no url")).remedy == ""
 
 
+@pytest.mark.long
 def test_a_server_that_dies_repeats_no_token() -> None:
     said: list[str] = []
 

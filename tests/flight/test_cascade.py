@@ -179,6 +179,7 @@ def test_the_level_hold_and_the_reset_at_arming_are_their_laws() -> None:
         armed = armed + 1 if thrusts else 0
 
 
+@pytest.mark.long
 def test_the_sum_in_float32_stays_where_the_double_sum_is() -> None:
     n = 3000
     q0 = (1.0 + noise(n, 7)).astype(np.float32).astype(np.float64)

@@ -111,6 +111,7 @@ def test_an_excitation_is_added_to_the_trim() -> None:
     assert (out["fore"] - out["aft"]) / 2.0 == pytest.approx(out["M"], rel=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("position_filter", "precision"),
     [("joint", "float64"), *((name, "float32") for name in POSITION_FILTERS)],

@@ -17,6 +17,7 @@ SOAK_S = float(os.environ.get("TWODOF_FUZZ_SECONDS", "1200"))
 RUNS = {"framing": 150, "mcap": 20, "mat": 70, "ulog": 10, "diagram": 40, "ftp": 5}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_briefly(name: str, tmp_path: Path) -> None:
     """By seeded mutations: what coverage guides costs seconds before it begins, and has the soak."""

@@ -99,6 +99,7 @@ def virtual_drone(rig: str = "lab", rings: bool = False) -> Iterator[str]:
         yield there.url
 
 
+@pytest.mark.long
 def test_the_code_on_the_page_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -103,6 +103,7 @@ def test_a_flight_in_closed_loop_holds_the_rig(logs: dict[str, FlightLog]) -> No
     assert not any(one["validation"] for one in found.view()["outputs"])
 
 
+@pytest.mark.long
 def test_a_long_open_loop_uses_priors_of_poles() -> None:
     signal = Multisine.schroeder(0.05, 2.0, range(2, 13), lead=0.2, repeat=2)
     flown = Laboratory("lab").fly(Experiment("multisine", "open-loop", signal, rings=True, hold=20.0, rest=0.4), 2)

@@ -62,6 +62,7 @@ def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any
     assert found == {"PARAMETER": files["parameters.json"]}
 
 
+@pytest.mark.long
 def test_it_is_told_why_arming_is_refused(saw: dict[str, list[Any]]) -> None:
     # MAVSDK hands texts over on several threads, in any order.
     killed, denied = sorted(saw["text"], key=lambda one: one["text"])

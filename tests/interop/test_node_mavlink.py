@@ -74,6 +74,7 @@ def ours(stream: bytes) -> list[Any]:
     return [m for m in mav.parse_buffer(stream) or [] if m.get_type() != "BAD_DATA"]
 
 
+@pytest.mark.long
 def test_no_frame_is_wrong_and_only_our_own_are_unknown(stream: bytes, decoded: dict[str, Any]) -> None:
     messages = ours(stream)
     assert decoded["invalid"] == decoded["undecoded"] == 0

@@ -200,6 +200,7 @@ async def test_a_cache_with_the_same_hash_stops_the_list(fcu_url: str) -> None:
         assert named(after, "PARAM_VALUE") == []
 
 
+@pytest.mark.long
 @in_loop
 async def test_a_parameter_is_read_again_and_set(fcu_url: str) -> None:
     async with station(fcu_url) as qgc:

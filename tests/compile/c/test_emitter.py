@@ -124,6 +124,7 @@ def ring(seed: int) -> Diagram:
     return d
 
 
+@pytest.mark.long
 def test_updates_read_the_old_states() -> None:
     rows = [{"u": [k + 0.125 * i for i in range(6)]} for k in range(8)]
     cases = [differential.Case(ring(seed), [], rows, {}) for seed in range(30)]

@@ -43,6 +43,7 @@ def test_it_does_not_start_beside_another_that_commands(built: Bench, topic: str
     assert topic in " ".join(events.said())
 
 
+@pytest.mark.long
 def test_it_does_not_start_while_armed_and_leaves_the_flight_to_who_commands(built: Bench) -> None:
     built.fresh()
     built.advertise("rate_ctrl_status")

@@ -76,6 +76,7 @@ async def download(world: World, entry: Any, loss: float = 0.0, peer: str = "cli
     return b"".join(parts[at] for at in sorted(parts))[: entry.size]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 @on_virtual_time
 async def test_every_byte_comes_whatever_gets_lost(tmp_path: Path, loss: float) -> None:

@@ -34,6 +34,7 @@ def kept_after_a_kill(folder: Path, gain: float, action: int = STORE) -> float:
     return ParameterStore(folder / "state" / "parameters.json")["ATT_KP"]
 
 
+@pytest.mark.long
 def test_what_was_acknowledged_is_stored_when_the_program_is_killed(tmp_path: Path) -> None:
     assert kept_after_a_kill(tmp_path, 9.0) == 9.0, "an acknowledged saving is lost"
 

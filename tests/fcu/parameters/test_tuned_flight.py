@@ -31,6 +31,7 @@ ABOVE, BELOW = f"{KIND}.law.above", f"{KIND}.law.below"
 BOTH = pytest.mark.parametrize("trusted", [False, True], ids=["sandbox", "inside"])
 
 
+@pytest.mark.long
 @BOTH
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_a_change_acts_in_the_next_tick_and_runs_prepare(trusted: bool, precision: str) -> None:

@@ -110,6 +110,7 @@ def test_no_reachable_state_leads_back_to_turning_motors_but_by_disarming(explor
     assert explored["ready"][starts].all()
 
 
+@pytest.mark.long
 def test_it_does_what_is_meant_in_every_case_states_that_do_not_exist_included() -> None:
     compiled = unrolled(FailsafeStateMachine())
     compiled.set_many({"block.level_limit": 0.1, "block.descent": 0.1})

@@ -148,6 +148,7 @@ def test_the_pieces_of_a_flight_have_one_noise() -> None:
     assert abs(both["mu"] - one["mu"]) < one.sigma("mu")
 
 
+@pytest.mark.long
 def test_intervals_of_a_short_closed_loop_hold() -> None:
     # 1.6 s. Output error, which `auto` took here once, has mu 41 low and holds it in 40 % of such flights.
     laboratory = Laboratory("lab")

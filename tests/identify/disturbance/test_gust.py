@@ -78,6 +78,7 @@ def test_what_was_found_is_told(found: list[Estimate]) -> None:
     assert stored["gusts"]["q"]["std"] == one.disturbance.gusts["q"].std  # type: ignore[index]
 
 
+@pytest.mark.long
 def test_prediction_with_the_found_noise_is_right(found: list[Estimate]) -> None:
     one = next(one for one in found if one.disturbance.kind == "input")
     values = {**HELD, **dict(zip(one.labels, one.values, strict=True))}

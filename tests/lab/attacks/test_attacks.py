@@ -132,6 +132,7 @@ def test_kills_get_through_and_the_commander_flies(flown: Flown, name: str) -> N
     assert found < max(MOST_S, 3 * flown.quiet)
 
 
+@pytest.mark.long
 def test_few_descriptors_serve_the_stop_and_end(tmp_path: Path) -> None:
     with free_numbers(1) as first, pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "executable", str(_limited(tmp_path)))
