@@ -134,6 +134,13 @@ def test_an_example_is_short_and_runs(example: Path, tmp_path: Path) -> None:
     run(example, tmp_path)
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_a_first_page_leads_to_the_browser(page: str) -> None:
+    text = (PROJECT / page).read_text()
+    assert "pictures/ground-station-fly.png" in text
+    assert "tutorials/ground-station.md" in text
+
+
 def test_readme_stays_a_screen_and_a_half() -> None:
     assert len((PROJECT / "README.md").read_text().splitlines()) <= 80
 

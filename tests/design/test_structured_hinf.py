@@ -86,7 +86,7 @@ def test_cascade_beats_a_dense_search_over_gains() -> None:
 def test_specification_is_checked() -> None:
     controller = SampledController.of(pid_attitude(optimum().gains))
     rows = check(ASKED, controller, FAMILY, promise(controller, FAMILY, members=80))
-    assert [row.name for row in rows] == [name for name in ASKED.asked if name != "step_deg"]
+    assert [row.name for row in rows] == [name for name in ASKED.required if name != "step_deg"]
     assert all(row.met for row in rows), [row.text for row in rows]
     sharper = Specification(bandwidth=50.0, delay_margin=0.5)
     assert not any(row.met for row in check(sharper, controller, FAMILY))

@@ -86,12 +86,12 @@ class Specification:
         if self.loop not in tuple(STEPS):
             what = f"loop = {shown(self.loop)} is not a loop"
             raise ParameterError(what, "specification", f"give {' or '.join(STEPS)}")
-        for name, (low, high) in {**{name: FIGURES[name][:2] for name in self.asked}, **_STEP_BOUNDS}.items():
+        for name, (low, high) in {**{name: FIGURES[name][:2] for name in self.required}, **_STEP_BOUNDS}.items():
             value = getattr(self, name)
             if not is_number(value, low, high):
                 what = f"{name} = {shown(value)} is out of range"
                 raise ParameterError(what, "specification", f"give a number from {low:g} to {high:g}")
-        if foreign := [name for name in TABLES[self.table] if name in self.asked]:
+        if foreign := [name for name in TABLES[self.table] if name in self.required]:
             what = f"{foreign[0]} does not apply to the {self.loop} loop"
             raise ParameterError(what, "specification", "leave it out")
 
@@ -106,7 +106,7 @@ class Specification:
         return math.radians(self.step_deg) if self.loop == "attitude" else self.step
 
     @property
-    def asked(self) -> dict[str, float]:
+    def required(self) -> dict[str, float]:
         """Return the required figures by name."""
         return {name: value for name in FIGURES if (value := getattr(self, name)) is not None}
 
@@ -123,7 +123,7 @@ class Specification:
     def _only(self, step: bool) -> Self | None:
         nothing: dict[str, Any] = {name: None for name, figure in FIGURES.items() if bool(figure.of_step) != step}
         found = replace(self, **nothing)
-        return found if found.asked else None
+        return found if found.required else None
 
     @classmethod
     def of(cls, data: object, where: str = "specification", table: str = "pitch") -> Self:
@@ -222,8 +222,8 @@ def requirements(
     A figure of an unstable loop, and of a step with failed members, is NaN. Raise ParameterError if a step is asked for
     and `promised` is missing or of another step.
     """
-    asked = specification.asked
-    step = [name for name in asked if FIGURES[name].of_step]
+    required = specification.required
+    step = [name for name in required if FIGURES[name].of_step]
     other = promised is None or promised.loop != specification.loop or abs(promised.goal - specification.goal) > 1e-6
     if step and other:
         row = STEPS[specification.loop]
@@ -232,7 +232,7 @@ def requirements(
         raise ParameterError(what, "check", "promise that step")
     stable = all(one.stable for one in loops.values())
     rows = []
-    for name, value in asked.items():
+    for name, value in required.items():
         figure, got = FIGURES[name], math.nan
         if figure.of_step and promised is not None and promised.robust:
             got = figure.factor * promised.figures[figure.of_step][2]

@@ -30,7 +30,7 @@ MARGIN = 16.0
 class Box:
     """A box of the layout. `left` and `right` are the distances of its pins below its top, whole numbers.
 
-    `side` "in" or "out" marks a terminal; `wish` is the position (x, y) in the author's diagram, None without one.
+    `side` "in" or "out" marks a terminal; `preferred` is the position (x, y) in the author's diagram, None without one.
     """
 
     width: float
@@ -38,7 +38,7 @@ class Box:
     left: list[float] = field(default_factory=list)
     right: list[float] = field(default_factory=list)
     side: str = ""
-    wish: tuple[float, float] | None = None
+    preferred: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ class _Layered:
         self.rank: list[int] = []
         self.columns: list[list[_Item]] = []
         self.item_of = [_Item(i, height=b.height) for i, b in enumerate(boxes)]
-        self.author = {self.item_of[i]: b.wish[1] for i, b in enumerate(boxes) if b.wish is not None}
-        self.wishes: dict[_Item, float] = {}  # the author's heights, and those that they mean for the others
+        self.author = {self.item_of[i]: b.preferred[1] for i, b in enumerate(boxes) if b.preferred is not None}
+        self.preferred: dict[_Item, float] = {}  # the author's heights, and those that they mean for the others
         self.lanes: dict[tuple[int, int], _Item] = {}  # (net, column) -> passing wire, forward
         self.returns: dict[int, range] = {}  # net -> columns that it passes on its way back
         self.passing: dict[tuple[int, int], float] = {}  # (net, column) -> height of a passing wire
@@ -152,7 +152,7 @@ class _Layered:
 
     def _wished_ranks(self) -> list[int]:
         """Columns from the author's places: boxes whose widths overlap share one."""
-        placed = sorted((b.wish[0], i) for i, b in enumerate(self.boxes) if b.wish is not None)
+        placed = sorted((b.preferred[0], i) for i, b in enumerate(self.boxes) if b.preferred is not None)
         rank: dict[int, int] = {}
         column, right = -1, float("-inf")
         for x, i in placed:
@@ -231,18 +231,18 @@ class _Layered:
 
     def _order_by_wish(self) -> None:
         """Order columns by the author's heights; a box without one takes its neighbours'."""
-        wish = dict(self.author)
+        preferred = dict(self.author)
         links = [link for c in range(len(self.columns)) for link in self._links(c)]
         for _ in range(len(self.columns) + 1):
             pulls: dict[_Item, list[float]] = {}
             for a, pa, b, pb in links:
                 for mine, at_mine, other, at_other in ((a, pa, b, pb), (b, pb, a, pa)):
-                    if mine not in wish and other in wish:
-                        pulls.setdefault(mine, []).append(wish[other] + at_other - at_mine)
-            wish |= {item: sum(found) / len(found) for item, found in pulls.items()}
-        self.wishes = wish
+                    if mine not in preferred and other in preferred:
+                        pulls.setdefault(mine, []).append(preferred[other] + at_other - at_mine)
+            preferred |= {item: sum(found) / len(found) for item, found in pulls.items()}
+        self.preferred = preferred
         for column in self.columns:
-            column.sort(key=lambda item: wish.get(item, 0.0))
+            column.sort(key=lambda item: preferred.get(item, 0.0))
 
     # Heights
 
@@ -251,7 +251,7 @@ class _Layered:
         for column in self.columns:
             offsets = self._offsets(column)
             for item, y in zip(column, offsets, strict=True):
-                item.y = self.wishes.get(item, y)
+                item.y = self.preferred.get(item, y)
             if self.author:
                 _settle(column, offsets, {item: [(item.y, 1.0)] for item in column})
         for sweep in range(SWEEPS):

@@ -16,11 +16,11 @@ from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.experiments import KINDS, cut, kind_of
 from twodof.identify.information import Information, predict
 from twodof.identify.ready_made import (
+    ENOUGH_SHARE,
     FLOWN_AS,
     LEVEL,
     PURPOSE,
     SWING,
-    TOLD,
     TRAVEL,
     FlownMachine,
     known_cart,
@@ -145,7 +145,7 @@ class ExpectedAccuracy:
                     "sigma": sigma,
                     "share": share if math.isfinite(share) else None,
                     "wanted": (_wanted_as(label) if alone else label) in wanted,
-                    "enough": share <= TOLD,
+                    "enough": share <= ENOUGH_SHARE,
                 }
             )
         return {

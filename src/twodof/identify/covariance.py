@@ -45,7 +45,7 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
     return float(s[0] / s[-1])
 
 
-def doubted(jacobian: Array, scale: Array, free: NDArray[np.int64]) -> NDArray[np.int64]:
+def uncertain_unknowns(jacobian: Array, scale: Array, free: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the unknowns for the covariance: the `free` ones, and those held by a bound if the data show them.
 
     A bound ends the search, not the doubt. With other noise the unknown would have left its bound and moved the others.

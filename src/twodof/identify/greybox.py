@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
-from twodof.identify.covariance import check_identifiable, covariance, doubted, robust_covariance
+from twodof.identify.covariance import check_identifiable, covariance, robust_covariance, uncertain_unknowns
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.disturbance.noise_search import Disturbed, check_disturbance, search
 from twodof.identify.estimate import Estimate
@@ -128,7 +128,7 @@ def fit(
         )
         return replace(again, at_rest=tuple(still))
     white, robust = (np.full((len(labels), len(labels)), math.nan) for _ in range(2))
-    known = doubted(jacobian, problem.scale, free)
+    known = uncertain_unknowns(jacobian, problem.scale, free)
     white[np.ix_(known, known)] = covariance(jacobian[:, known])
     robust[np.ix_(known, known)] = robust_covariance(
         jacobian[:, known], found.prediction_error, problem.blocks, band is not None

@@ -129,9 +129,10 @@ def reference_values(log: FlightLog, experiment: str, start: float, stop: float)
     return {unknown: known[unknown] for unknown in PURPOSE[experiment]}
 
 
-TOLD = 0.25
-"""An unknown is told where its 95 % interval is within this share of its value: of a gain that is 2 dB, a third of the
-margin of 6 dB that a controller commonly keeps."""
+ENOUGH_SHARE = 0.25
+"""An unknown is known well enough if its 95 % interval is within this share of its value.
+
+Of a gain that is 2 dB, a third of the margin of 6 dB that a controller commonly keeps."""
 
 LEVEL = 0.95
 
@@ -180,7 +181,7 @@ def sufficiency(found: Estimate, wanted: Collection[str] = ()) -> Sufficiency:
             reasons.append(f"{name} is held by its bound")
             continue
         shares[name] = deviations(LEVEL) * sigma / abs(value) if value else float("inf")
-        if shares[name] > TOLD:
+        if shares[name] > ENOUGH_SHARE:
             reasons.append(f"{name} is known to {100.0 * shares[name]:.0f} % only")
     return Sufficiency(shares, tuple(reasons), not found.wanders)
 

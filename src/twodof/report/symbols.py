@@ -93,7 +93,7 @@ def symbol(part: Part, pins: Sequence[str], flip: bool = False) -> BlockSymbol:
         made = (None if fields else _special(part, item, flip)) or _block(part, item, pins)
     else:
         made = _subdiagram(part, item, pins)
-    made.box.wish = part.position
+    made.box.preferred = part.position
     return made
 
 

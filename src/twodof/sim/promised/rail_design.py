@@ -118,7 +118,7 @@ def rail_design(
             "it asks for no figure of the rail's loops", "specification", "ask for one, such as velocity_bandwidth = 4"
         )
     search = _Search(specification, family, kept, members, seed, progress)
-    outer = linear is not None and set(linear.asked) - {"velocity_bandwidth"}
+    outer = linear is not None and set(linear.required) - {"velocity_bandwidth"}
     names = _NAMES if outer or specification.loop == "position" else _NAMES[:2]
     high = np.log([_HIGHEST[name] for name in names])
     low = high + math.log(_LOWEST)
