@@ -4,7 +4,7 @@
 #   make web     build the browser page of web/ into the package
 #   make play    the page in out/play that flies the virtual rig in a browser, without a server
 #   make wheel   dist/twodof-*.whl with the page inside: `pip install` it where there is no make, node or compiler
-#   make quick   what is cheap of every room, under a minute: at each change
+#   make quick   what is cheap of every room, one to two minutes: at each change
 #   make test    every test that takes less than 1 s of processor time, and the page's, in minutes
 #   make thorough    the others; CI runs both              make soak   the long versions of tests, for hours
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results

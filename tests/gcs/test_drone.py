@@ -123,6 +123,7 @@ def test_a_recording_is_the_drones_own_log(there: OnBoard, tmp_path: Path) -> No
     log, own = read_log(file), there.channels()
     assert log.provenance["lost"] == 0
     assert log.provenance["drone"]["seed"] == 3
+    assert log.provenance["drone"]["virtual"]
     # lmnf's messages are 50 a second from its first sample on in both; theta_true and the like are the rig's.
     assert set(own) <= set(log.channels)
     assert {row.mat for row in TOPICS} <= set(log.channels)
