@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { loopOnSheet, placeOfFinding, seenFrom } from "../../src/pages/diagram/model/blame";
+import { editor } from "../../src/pages/diagram/editor.svelte";
 import { placesOn, staying } from "../../src/pages/diagram/canvas/places";
 import {
   diagramAt,
@@ -221,6 +222,14 @@ describe("inputs and outputs without a place", () => {
     for (const after of [inserted, moved, diagramFrom(diagramTo(moved))]) {
       for (const id of ["i:u", "o:out"]) expect(placesOn(after, shapes).get(id), id).toEqual(before.get(id));
     }
+  });
+  it("stay on the sheet around a sub-diagram that gets another port", () => {
+    const { d } = placed();
+    editor.root = d;
+    for (const key of editor.shapes.unknown(d).keys()) editor.shapes.learn(key, shape(["u"], { k: 2 }));
+    const before = placesOn(d, editor.shapes).get("o:out");
+    for (const name of ["v", "w", "z"]) editor.apply("add", (one) => addInput(one, { name }), "", ["sub"]);
+    expect(placesOn(editor.root, editor.shapes).get("o:out")).toEqual(before);
   });
   it("take no place in the file for an edit that moves nothing", () => {
     const { d, shapes } = placed();

@@ -4,10 +4,10 @@ import { toast, tried } from "../../state/toasts.svelte";
 import { arranged } from "./canvas/arrange";
 import { boxesOn, partPlaces, placesOn } from "./canvas/places";
 import { partSize } from "./canvas/symbol";
-import { editor, EMPTY } from "./editor.svelte";
+import { editor } from "./editor.svelte";
 import { ALIGNMENTS, aligned, leastFor, type Alignment } from "./model/align";
 import { copyText, paste } from "./model/clipboard";
-import { findPart, inputId, outputId, partId, sourceOf, wireId, type Part, type Point } from "./model/diagram";
+import { EMPTY, findPart, inputId, outputId, partId, sourceOf, wireId, type Part, type Point } from "./model/diagram";
 import {
   addInput,
   addOutput,

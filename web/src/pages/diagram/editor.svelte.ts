@@ -4,24 +4,11 @@ import { toastError } from "../../state/toasts.svelte";
 import type { Opened } from "./address";
 import { presumed } from "./canvas/arrange";
 import { staying } from "./canvas/places";
-import { diagramAt, partId, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
+import { diagramAt, EMPTY, partId, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
 import { edited, EditFault, settled } from "./model/edits";
 import { History } from "./model/history.svelte";
 import { writeJson } from "./model/json_text";
 import { Shapes } from "./model/shapes";
-
-export const EMPTY: Diagram = {
-  is: "diagram",
-  name: "untitled",
-  text: "",
-  inputs: [],
-  params: [],
-  parts: [],
-  connections: [],
-  outputs: [],
-  inputPositions: {},
-  outputPositions: {},
-};
 
 class Editor {
   root = $state.raw<Diagram>(EMPTY);
@@ -99,10 +86,13 @@ class Editor {
     const before = this.root;
     let after: Diagram;
     try {
-      after = edited(before, path, (d) => {
-        const made = edit(d);
-        return made === d ? d : settled(staying(d, made, this.shapes));
-      });
+      after = edited(before, path, edit);
+      // The sheets around it too: a sub-diagram with another port has another size.
+      for (let depth = path.length; depth >= 0; depth--) {
+        const at = path.slice(0, depth);
+        const was = diagramAt(before, at)!;
+        after = edited(after, at, (d) => (d === was ? d : settled(staying(was, d, this.shapes))));
+      }
     } catch (failure) {
       if (!(failure instanceof EditFault)) throw failure;
       this.say(failure.message);

@@ -1,5 +1,14 @@
 // Commented blocks: a sub-diagram with the ports of a block stands in its place and holds it; nothing reads the block.
-import { declaredName, findPart, type Block, type Diagram, type Part } from "./diagram";
+import {
+  declaredName,
+  EMPTY,
+  findPart,
+  type Block,
+  type Connection,
+  type Diagram,
+  type Output,
+  type Part,
+} from "./diagram";
 import { EditFault, newPart } from "./edits";
 import { declared } from "./grouping";
 import { Num, real, type Json, type JsonObject } from "./json_text";
@@ -43,34 +52,27 @@ function wrapped(d: Diagram, part: Part, how: Comment, shapes: Shapes): Part {
   const params = new Set(Object.values(part.params));
   const clash = tops(inputs).find((port) => params.has(port));
   if (clash !== undefined) throw new EditFault(`${clash} names a parameter and an input of ${part.name}: rename one`);
+  const connections: Connection[] = [];
+  const outer: Output[] = [];
   let sub: Diagram = {
-    is: "diagram",
+    ...EMPTY,
     name: part.name,
     text: COMMENTS[how],
     inputs: inputs.map((port) => declared(port.name, port)),
     params: d.params.filter((one) => params.has(declaredName(one))),
-    parts: [],
-    connections: [],
-    outputs: [],
-    inputPositions: {},
-    outputPositions: {},
   };
-  const put = (name: string, item: Block | Diagram): Part => {
+  const put = (name: string, item: Block | Diagram, bound: Part["params"] = {}): string => {
     const made = newPart(sub, name, item, [160, 20 + 100 * sub.parts.length]);
-    sub = { ...sub, parts: [...sub.parts, made] };
-    return made;
+    sub = { ...sub, parts: [...sub.parts, { ...made, params: bound }] };
+    return made.name;
   };
-  const wire = (from: string, to: string): void => {
-    sub = { ...sub, connections: [...sub.connections, [from, to]] };
-  };
-  const block = put("block", part.item);
-  sub = { ...sub, parts: [{ ...block, params: part.params }] };
-  for (const port of tops(inputs)) wire(port, `${block.name}.${port}`);
+  const block = put("block", part.item, part.params);
+  for (const port of tops(inputs)) connections.push([port, `${block}.${port}`]);
   const left = [...inputs];
   for (const port of outputs) {
     if (port.name.includes(".")) throw new EditFault(`${part.name} gives a bus, which cannot be commented: delete it`);
     let source: string;
-    if (how === "out") source = put("zero", library("constant", port, { value: zero(port) })).name;
+    if (how === "out") source = put("zero", library("constant", port, { value: zero(port) }));
     else {
       const at = left.findIndex((one) => one.kind === port.kind && one.width === port.width);
       const [input] = at < 0 ? [] : left.splice(at, 1);
@@ -80,13 +82,14 @@ function wrapped(d: Diagram, part: Part, how: Comment, shapes: Shapes): Part {
       source = input.name;
       if (port.kind === "real" && input.unit !== port.unit) {
         const units = { k: real(1), gain_unit: "", input_unit: input.unit };
-        source = put("pass", library("gain", port, units)).name;
-        wire(input.name, `${source}.u`);
+        source = put("pass", library("gain", port, units));
+        connections.push([input.name, `${source}.u`]);
       }
     }
-    sub = { ...sub, outputs: [...sub.outputs, [port.name, source]] };
+    outer.push([port.name, source]);
   }
-  return { ...part, item: sub, params: Object.fromEntries([...params].map((name) => [name, name])) };
+  const item: Diagram = { ...sub, connections, outputs: outer };
+  return { ...part, item, params: Object.fromEntries([...params].map((name) => [name, name])) };
 }
 
 function zero({ kind, width }: Port): Json {

@@ -48,6 +48,19 @@ export interface Part {
   readonly item: Block | Diagram;
 }
 
+export const EMPTY: Diagram = {
+  is: "diagram",
+  name: "untitled",
+  text: "",
+  inputs: [],
+  params: [],
+  parts: [],
+  connections: [],
+  outputs: [],
+  inputPositions: {},
+  outputPositions: {},
+};
+
 // Ids of what stands on a sheet.
 export const partId = (name: string): string => `p:${name}`;
 export const inputId = (name: string): string => `i:${name}`;

@@ -1,6 +1,7 @@
 // Blocks become a sub-diagram, and a sub-diagram its blocks.
 import {
   declaredName,
+  EMPTY,
   findPart,
   placeOf,
   type Connection,
@@ -51,16 +52,13 @@ export function grouped(d: Diagram, names: ReadonlySet<string>, shapes: Shapes):
   const rest: Output[] = d.outputs.map(([one, source]) => [one, source !== null && own(source) ? out(source) : source]);
   const params = [...new Set(inside.flatMap((part) => Object.values(part.params)))];
   const sub: Diagram = {
-    is: "diagram",
+    ...EMPTY,
     name,
-    text: "",
     inputs: [...inputs.values()],
     params: d.params.filter((one) => params.includes(declaredName(one))),
     parts: inside,
     connections: inner,
     outputs: [...outputs].map(([source, output]) => [output, source] as const),
-    inputPositions: {},
-    outputPositions: {},
   };
   const clash = sub.params.map(declaredName).find((one) => taken.has(one));
   if (clash !== undefined) throw new EditFault(`${clash} would name a parameter and a block of the sub-diagram`);
