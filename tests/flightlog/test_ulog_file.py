@@ -194,6 +194,16 @@ def test_px4s_topics_become_channels(tmp_path: Path) -> None:
     assert log.provenance["dropouts"] == {"count": 1, "total_s": 0.03}
 
 
+def test_every_topic_becomes_channels_on_request(tmp_path: Path) -> None:
+    (tmp_path / "a.ulg").write_bytes(px4_log())
+    known, log = read_log(tmp_path / "a.ulg"), read_log(tmp_path / "a.ulg", topics=True)
+    assert [*log][: len(known.channels)] == [*known]
+    assert log["esc_status/esc[1].rpm"].value.tolist() == (-np.arange(40.0)).tolist()
+    assert set(log["distance_sensor.1/current_distance"].value) == {7.0}
+    assert len(log["vehicle_local_position_setpoint/x"]) == 20  # the others are NaN
+    assert not [name for name in log if "padding" in name or "timestamp" in name]
+
+
 DAY_US = 86_400_000_000
 FIRST_US = 2 * DAY_US
 

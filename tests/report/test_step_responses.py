@@ -15,7 +15,7 @@ from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.steps import SAFETY
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
-from twodof.report.step_responses import most_stepped, step_responses
+from twodof.report.step_responses import folded_steps, most_stepped, step_responses
 from twodof.signals import ATTITUDE, PERIOD
 
 XI, OMEGA = 0.5, 12.0
@@ -67,6 +67,19 @@ def test_step_of_an_open_loop_does_not_count() -> None:
     assert most_stepped(step_responses(free)) == ()
     with pytest.raises(LogError, match="no set-point of it steps"):
         comparison_view({"one": log, "other": free})
+
+
+def test_steps_fold_by_the_parameters_that_they_flew() -> None:
+    log = flight(10.0)
+    (whole,) = folded_steps(log, step_responses(log))
+    assert (whole.loop, whole.after_s, whole.shares.shape[0]) == ("attitude", None, 2)
+    np.testing.assert_allclose(whole.shares, [second_order(whole.time)] * 2, atol=0.06)
+    rise = [one.figures.rise_time for one in whole.steps]
+    expected = (2, np.mean(rise), np.std(rise, ddof=1), min(rise), max(rise))
+    assert whole.statistics()["rise [s]"] == pytest.approx(expected)
+    changed = FlightLog(log.channels, {"changes": [[12.0, "ATT_KP", 8.0]]})
+    before, after = folded_steps(changed, step_responses(changed))
+    assert (before.after_s, after.after_s, len(before.steps), len(after.steps)) == (None, 12.0, 1, 1)
 
 
 def with_safety(log: FlightLog, start: float, end: float) -> FlightLog:

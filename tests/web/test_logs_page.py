@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.flightlog.test_ulog_file import px4_log
 from tests.lab.served import COMMAND, WATCH, Served, served
 from tests.patience import patiently
 from tests.web.conftest import OpenPage, picture, readable
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
-from twodof.report.step_responses import step_responses
+from twodof.report.step_responses import folded_steps, step_responses
 
 pytestmark = pytest.mark.slow
 
@@ -111,8 +112,84 @@ def test_compared_flights_show_their_steps(logs_server: Served, flights: Path, o
         rise, overshoot = found[0].figures.rise_time, 100.0 * found[0].figures.overshoot
         expect(row).to_contain_text(f"{rise:.3f}")
         expect(row).to_contain_text(f"{overshoot:.1f}")
+    page.get_by_label("Aligned at").select_option("step 3 of each")
+    later = [step_responses(read_log(flights / "flights" / name))[2].time for name in (FIRST, SECOND)]
+    for time in later:
+        expect(page.get_by_role("row", name=f"{time:.2f}").first).to_have_class(re.compile("now"))
+    other = step_responses(read_log(flights / "flights" / SECOND))[1].time
+    page.get_by_role("row").filter(has_text=SECOND).get_by_role("button", name=f"Align at {other:.2f} s").click()
+    expect(page.get_by_role("row").filter(has_text=SECOND).filter(has_text=f"{other:.2f}")).to_have_class(
+        re.compile("now")
+    )
     page.get_by_label("Aligned at").select_option("start")
     expect(page.get_by_text("position x").first).to_be_visible()
+
+
+def test_own_plots_cursors_and_folded_steps(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
+    log = read_log(flights / "flights" / FIRST)
+    page = open_page(link(logs_server, f"/{FIRST}?at=12.00"))
+    opened(page)
+    page.get_by_role("button", name="Choose signals").click()
+    for name in ("theta estimated pitch", "q estimated pitch rate"):
+        page.get_by_role("checkbox", name=name).check()
+    expect(page.get_by_role("heading", name="theta, q", exact=True)).to_be_visible()
+    page.get_by_label("Signals of").select_option("a new plot")
+    page.get_by_label("Find").fill("lmnf")
+    page.get_by_role("checkbox", name="lmnf/M").check()
+    page.reload()
+    opened(page)
+    expect(page.get_by_role("heading", name="lmnf/M", exact=True)).to_be_visible()  # kept in the browser
+    page.get_by_role("switch", name="Usual plots").click()
+    expect(page.get_by_role("heading", name="pitch θ", exact=True)).to_have_count(0)
+
+    # Three cursors by keys, and one taken away.
+    cursor = page.get_by_role("slider", name="Cursor of theta, q")
+    cursor.focus()
+    for key in ("Enter", "ArrowRight", "ArrowRight", "Enter", "ArrowRight", "ArrowRight", "Enter"):
+        page.keyboard.press(key)
+    table = page.get_by_role("table", name="Cursors")
+    start, end = log.span
+    far = 0.02 * (end - start)
+    expect(table).to_contain_text("A, 12.000 s")  # where the link says that the replay stands
+    expect(table).to_contain_text(f"C − A, {2 * far:.3f} s")
+    rate = float(np.degrees(log.resample("q", [12.0 + far])[0]))
+    shown = table.get_by_role("row", name="theta, q, q").get_by_role("cell").nth(1).inner_text()
+    assert float(shown.replace("−", "-")) == pytest.approx(rate, abs=1.0)
+    page.keyboard.press("Enter")
+    expect(table).not_to_contain_text("C − A")
+
+    page.get_by_role("button", name="Fold the steps").click()
+    figures = page.get_by_role("table", name="Statistics of the steps of the attitude loop")
+    steps = [one for one in folded_steps(log, step_responses(log)) if one.loop == "attitude"]
+    count, mean, *_ = steps[0].statistics()["overshoot [%]"]
+    row = figures.get_by_role("row").filter(has_text="overshoot").first
+    expect(row.get_by_role("cell").nth(1)).to_have_text(f"{count:.0f}")
+    assert float(row.get_by_role("cell").nth(2).inner_text()) == pytest.approx(mean, rel=1e-3)
+    page.get_by_role("switch", name="Time from 0").click()
+    expect(page.get_by_text(f"of 0.0 to {end - start:.1f} s")).to_be_visible()
+    expect(page.get_by_role("button", name=f"Go to {13.0 - start:.2f} s: RATE_P set to 0.2")).to_be_visible()
+    page.get_by_role("button", name="Choose signals").click()
+    expect(page.get_by_role("checkbox", name="theta estimated pitch")).to_be_checked()
+    readable(page, "logs-own")
+
+
+def test_topics_of_another_vehicle_are_plotted(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
+    """Some of its signals are constant, whose ticks once kept the page busy for half a minute."""
+    (flights / "flights" / "px4.ulg").write_bytes(px4_log())
+    page = open_page(link(logs_server, "/px4.ulg"))
+    opened(page)
+    page.get_by_role("button", name="Choose signals").click()
+    page.get_by_text("distance_sensor.1").click()
+    page.get_by_role("checkbox", name="distance_sensor.1/current_distance").check()
+    expect(page.get_by_role("heading", name="distance_sensor.1/current_distance")).to_be_visible()
+    page.get_by_role("button", name="Rename").click()
+    page.keyboard.press("Control+a")
+    page.keyboard.type("my rover")
+    page.keyboard.press("Enter")
+    expect(page).to_have_url(re.compile("my%20rover.ulg"))
+    opened(page)
+    assert (flights / "flights" / "my rover.ulg").exists()
+    (flights / "flights" / "my rover.ulg").unlink()
 
 
 def test_a_log_is_uploaded_noted_downloaded_and_restored(

@@ -35,9 +35,16 @@ _WIDE = (".parquet", ".csv")
 _TABLES = (".mat", *_WIDE)
 
 
-def read_log(path: str | Path) -> FlightLog:
-    """Read a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError."""
-    return _read(path, _check(path))
+def read_log(path: str | Path, topics: bool = False) -> FlightLog:
+    """Read a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError.
+
+    With `topics`, a .ulg has a channel `TOPIC/FIELD` for each field of each topic as well.
+    """
+    suffix = _check(path)
+    if topics and suffix == ".ulg":
+        with naming_file(path):
+            return log_of(*fence.read(_decoded, path, ".ulg_topics", needs=_MODULES[suffix]))
+    return _read(path, suffix)
 
 
 def read_columns(path: str | Path, time: str = "", period: str | float = "") -> FlightLog:
@@ -155,7 +162,9 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: boo
 
 
 def _function(verb: str, suffix: str) -> Callable[..., Any]:
-    function: Callable[..., Any] = getattr(importlib.import_module(_MODULES[suffix]), f"{verb}_{suffix[1:]}")
+    function: Callable[..., Any] = getattr(
+        importlib.import_module(_MODULES[suffix.partition("_")[0]]), f"{verb}_{suffix[1:]}"
+    )
     return function
 
 

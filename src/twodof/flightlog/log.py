@@ -384,11 +384,15 @@ def decimate(
     if count <= most:
         return time, value
     size = -(-count // max(1, most // 2))
-    low, high = np.where(np.isnan(value), np.inf, value), np.where(np.isnan(value), -np.inf, value)
-    kept = [0, count - 1]
-    for start in range(0, count, size):
-        part = slice(start, start + size)
-        kept += [start + int(np.argmin(low[part])), start + int(np.argmax(high[part]))]
-        kept += [start + int(hole) for hole in np.flatnonzero(np.isnan(value[part]))[:1]]
-    index = np.unique(kept)
+    starts = np.arange(0, count, size)
+    hole = np.isnan(value)
+
+    def buckets(values: NDArray[Any], fill: float) -> NDArray[Any]:
+        return np.append(values, np.full(len(starts) * size - count, fill, values.dtype)).reshape(-1, size)
+
+    low = starts + buckets(np.where(hole, np.inf, value), np.inf).argmin(axis=1)
+    high = starts + buckets(np.where(hole, -np.inf, value), -np.inf).argmax(axis=1)
+    holes = buckets(hole, False)
+    torn = (starts + holes.argmax(axis=1))[holes.any(axis=1)]
+    index = np.unique(np.concatenate([[0, count - 1], low, high, torn]))
     return time[index], value[index]

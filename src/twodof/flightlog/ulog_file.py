@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog import provenance
-from twodof.flightlog.log import Channel, FlightLog, near_the_others, sanitise
+from twodof.flightlog.log import MAX_CHANNELS, Channel, FlightLog, near_the_others, sanitise
 from twodof.flightlog.provenance import RECOVER, Loss, noted
 from twodof.flightlog.steps import ASKED, BOOT, STEP_TOPIC, safety_channel, step_channels
 from twodof.flightlog.ulog_writer import (
@@ -87,6 +87,27 @@ def decode_ulg(data: bytes, where: str) -> FlightLog:
     file that is damaged or no ULog.
     """
     return ulog_to_log(scan_ulog(data, where), provenance.of_file(where, data, "ulog"), where)
+
+
+def decode_ulg_topics(data: bytes, where: str) -> FlightLog:
+    """Return the log as `decode_ulg` does, with a channel `TOPIC/FIELD` for each numeric field of each topic as well.
+
+    `TOPIC.1` is the second instance of a topic. At most MAX_CHANNELS channels are returned. Raises LogError.
+    """
+    found = scan_ulog(data, where)
+    log = ulog_to_log(found, provenance.of_file(where, data, "ulog"), where)
+    times = [_stamps(columns) for columns in found.topics.values()]
+    channels = dict(log.channels)
+    for ((topic, instance), columns), time, rows in zip(
+        found.topics.items(), times, near_the_others(times), strict=True
+    ):
+        for name, values in columns.items():
+            field = f"{topic}.{instance}/{name}" if instance else f"{topic}/{name}"
+            told = values.dtype.kind in "biuf" and not re.match(r"timestamp|.*_padding\d", name)
+            if told and len(channels) < MAX_CHANNELS:
+                numbers = values[rows].astype(np.float64)
+                channels[field], _ = sanitise(time[rows], numbers, "", (), f"{where}: {field}")
+    return FlightLog(channels, log.provenance)
 
 
 def scan_ulog(data: bytes, where: str, salvage: bool = False) -> ULogContents:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections import OrderedDict
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -22,29 +23,30 @@ from twodof.flightlog.provenance import versions
 from twodof.flightlog.recovery import recover
 from twodof.flightlog.ulog_file import write_ulg
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps
-from twodof.report.plots.flight_view import Curve, FlightView, flight_view
-from twodof.report.step_responses import step_responses
+from twodof.report.plots.flight_view import Curve, FlightView, flight_view, signal_names, signals_panel
+from twodof.report.step_responses import folded_steps, step_responses
 from twodof.signals import BY_MAT
 
 MOST_BYTES = 96 << 20
 """Most bytes of the files whose logs are kept in memory, where a log takes 5 to 12 times the size of its file."""
 
-_KEPT: OrderedDict[tuple[str, int, int], FlightLog] = OrderedDict()
+_KEPT: OrderedDict[tuple[str, int, int, bool], FlightLog] = OrderedDict()
 
 
-def kept_log(path: str) -> FlightLog:
-    """Return the log in a file, kept in memory until the file changes. Raises LogError."""
+def kept_log(path: str, topics: bool = False) -> FlightLog:
+    """Return the log in a file, kept in memory until the file changes; `topics` as read_log. Raises LogError."""
     try:
         found = Path(path).stat()
     except OSError as reason:  # deleted since it was asked for
         raise LogError("is not there any more", Path(path).name, "choose one of the list") from reason
-    key = (path, found.st_mtime_ns, found.st_size)
+    topics = topics and path.lower().endswith(".ulg")
+    key = (path, found.st_mtime_ns, found.st_size, topics)
     if key in _KEPT:
         _KEPT.move_to_end(key)
         return _KEPT[key]
-    while _KEPT and sum(size for *_, size in _KEPT) + found.st_size > MOST_BYTES:
+    while _KEPT and sum(size for _, _, size, _ in _KEPT) + found.st_size > MOST_BYTES:
         _KEPT.popitem(last=False)
-    log = read_log(path)
+    log = read_log(path, topics)
     if found.st_size <= MOST_BYTES:
         _KEPT[key] = log
     return log
@@ -131,6 +133,8 @@ MOST_SAID = 2000
 _Short = Annotated[str, AfterValidator(lambda text: text[:400])]
 _TEXT = TypeAdapter(tuple[float, _Short, _Short])
 _CHANGE = TypeAdapter(tuple[float, _Short, float])
+MOST_FOLDED = 100
+"""Most responses of steps that are laid over each other, of each loop and set of parameters."""
 REPLAY_HZ, MOST_REPLAYED = 50.0, 20_000
 _REPLAYED = ("theta", "x", "M", "T", "theta0", "x0", "theta_true", "x_true")
 _FIRST_CHANNELS = 6
@@ -151,16 +155,27 @@ def facts(path: str) -> dict[str, Any]:
     }
 
 
-def view(path: str, window: tuple[float, float] | None, topics: list[str], points: int) -> dict[str, Any]:
-    """Return the curves of a plot within `window` [s], each thinned to about `points`. Raises LogError."""
-    log = kept_log(path)
+def view(
+    path: str, window: tuple[float, float] | None, topics: list[str], points: int, panels: list[str]
+) -> dict[str, Any]:
+    """Return the curves of a plot within `window` [s], each thinned to about `points`. Raises LogError.
+
+    Each of `panels` has the names of its signals, a line each. They come before the others.
+    """
+    log = kept_log(path, topics=bool(panels))
     try:
         found = flight_view(log, topics, window)
     except LogError:
         if topics or (window is not None and not _overlaps(log, window)):
             raise
         found = flight_view(log, [*log][:_FIRST_CHANNELS], window)  # a log of others
-    return _told(found, points)
+    own = tuple(signals_panel(log, panel.splitlines(), window) for panel in panels)
+    return _told(replace(found, views=own + found.views), points)
+
+
+def signals(path: str) -> list[list[str]]:
+    """Return name, description and unit of each signal; of another vehicle's .ulg, of each field of each topic too."""
+    return [[name, *words] for name, words in signal_names(kept_log(path, topics=True)).items()]
 
 
 def steps(path: str) -> dict[str, Any]:
@@ -171,17 +186,37 @@ def steps(path: str) -> dict[str, Any]:
         return {"steps": [], "unclear": reason.what}
 
 
-def compare(paths: dict[str, str], align: str, window: tuple[float, float] | None, points: int) -> dict[str, Any]:
-    """Compare flights, named by `paths`: the view, and the steps and the time 0 [s] of each.
+def fold(path: str) -> list[dict[str, Any]]:
+    """Return the steps of each loop over each other, by parameters flown: all responses, mean and deviation."""
+    log = kept_log(path)
+    return [
+        {
+            "loop": one.loop,
+            "after_s": one.after_s,
+            "statistics": one.statistics(),
+            "time": one.time.tolist(),
+            "shares": one.shares[-MOST_FOLDED:].tolist(),
+            "mean": one.shares.mean(axis=0).tolist(),
+            "deviation": one.shares.std(axis=0).tolist(),
+        }
+        for one in folded_steps(log, step_responses(log))
+    ]
+
+
+def compare(
+    paths: dict[str, str], align: str, window: tuple[float, float] | None, points: int, zero: list[float]
+) -> dict[str, Any]:
+    """Compare flights, named by `paths`: the view, and the steps and the time 0 [s] of each, given as `zero` or found.
 
     Raises LogError as `comparison_view` does.
     """
     logs = {name: kept_log(path) for name, path in paths.items()}
-    found = comparison_view(logs, Align(align), window)
+    given = dict(zip(paths, zero, strict=False))
+    found = comparison_view(logs, Align(align), window, given)
     stepped = flight_steps(logs) if align == Align.step else {}
-    zero = {name: stepped[name][0].time if stepped else log.span[0] for name, log in logs.items()}
+    zeros = {name: stepped[name][0].time if stepped else log.span[0] for name, log in logs.items()} | given
     rows = {name: [step.to_json() for step in one] for name, one in stepped.items()}
-    return {**_told(found, points), "steps": rows, "zero": zero}
+    return {**_told(found, points), "steps": rows, "zero": zeros}
 
 
 def replay(path: str) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twodof.flightlog.events import flown_steps, modes
 from twodof.flightlog.log import Channel, FlightLog
@@ -74,8 +75,37 @@ def step_responses(log: FlightLog) -> tuple[FlownStep, ...]:
     return tuple(sorted(_with_mean_settling(log, found), key=lambda one: one.time))
 
 
-def _with_mean_settling(log: FlightLog, found: Sequence[FlownStep]) -> list[FlownStep]:
-    """Replace the settling of each step by that of the mean response of its loop under the same parameters."""
+@dataclass(frozen=True, eq=False)
+class FoldedSteps:
+    """Responses to a loop's steps under the same parameters, each as a share of its step: 0 before it, 1 its new level.
+
+    `after_s` is the time [s] of the last change of a parameter before them, None without one. `shares` (k, n) at `time`
+    (n,) [s] from the step are those that last as long as half of `steps`.
+    """
+
+    loop: str
+    after_s: float | None
+    steps: tuple[FlownStep, ...]
+    time: NDArray[np.float64]
+    shares: NDArray[np.float64]
+
+    def statistics(self) -> dict[str, tuple[float, ...]]:
+        """Return of each figure how many steps have it, its mean, standard deviation, least and greatest value."""
+        figures = {
+            "rise [s]": [one.figures.rise_time for one in self.steps],
+            "overshoot [%]": [100.0 * one.figures.overshoot for one in self.steps],
+            "peak |M|": [one.peak_moment for one in self.steps],
+        }
+        known = {name: np.array(values)[np.isfinite(values)] for name, values in figures.items()}
+        return {
+            name: (len(of), of.mean(), of.std(ddof=1) if len(of) > 1 else math.nan, of.min(), of.max())
+            for name, of in known.items()
+            if len(of)
+        }
+
+
+def folded_steps(log: FlightLog, found: Sequence[FlownStep]) -> list[FoldedSteps]:
+    """Lay steps, as `step_responses` returns them, over each other: by loop, and by the parameters that they flew."""
     changes = log.provenance.get("changes")
     rows = [row for row in changes if isinstance(row, list) and row] if isinstance(changes, list) else []
     changed = sorted(float(row[0]) for row in rows if isinstance(row[0], int | float))
@@ -83,15 +113,23 @@ def _with_mean_settling(log: FlightLog, found: Sequence[FlownStep]) -> list[Flow
     for one in found:
         groups.setdefault((one.loop, bisect_right(changed, one.time)), []).append(one)
     return [
-        replace(one, figures=replace(one.figures, settling_time=settling), averaged=count)
-        for (loop, _), group in groups.items()
-        for settling, count in [_mean_settling(log[FOLLOWING[loop]], group)]
-        for one in group
+        FoldedSteps(loop, changed[k - 1] if k else None, tuple(group), *_shares(log[FOLLOWING[loop]], group))
+        for (loop, k), group in groups.items()
     ]
 
 
-def _mean_settling(followed: Channel, group: Sequence[FlownStep]) -> tuple[float, int]:
-    """Return the settling time [s] of the mean response, and of how many: those that last as long as half of them."""
+def _with_mean_settling(log: FlightLog, found: Sequence[FlownStep]) -> list[FlownStep]:
+    """Replace the settling of each step by that of the mean response of its loop under the same parameters."""
+    return [
+        replace(one, figures=replace(one.figures, settling_time=settling), averaged=len(fold.shares))
+        for fold in folded_steps(log, found)
+        for settling in [step_figures(fold.time, fold.shares.mean(axis=0), 0.0, 1.0, SETTLED).settling_time]
+        for one in fold.steps
+    ]
+
+
+def _shares(followed: Channel, group: Sequence[FlownStep]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return times [s] and the responses (k, n) that last as long as half of them, each as a share of its step."""
     lasting = sorted(one.end - one.time for one in group)[(len(group) - 1) // 2]
     time = PERIOD * np.arange(int(lasting / PERIOD + 1e-6) + 1)
     shares = []
@@ -100,7 +138,7 @@ def _mean_settling(followed: Channel, group: Sequence[FlownStep]) -> tuple[float
             part = followed.slice(one.time, one.end)
             share = (part.value - one.before) / (one.after - one.before)
             shares.append(np.interp(time, part.time - one.time, share))
-    return step_figures(time, np.mean(shares, axis=0), 0.0, 1.0, SETTLED).settling_time, len(shares)
+    return np.asarray(time, np.float64), np.array(shares, np.float64)
 
 
 def _peak_moment(log: FlightLog, start: float, end: float) -> float:

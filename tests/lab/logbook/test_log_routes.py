@@ -124,6 +124,42 @@ def test_steps_and_a_comparison_are_the_librarys(server: Served) -> None:
     assert server.ask("GET", "/api/logs/compare?name=a.mcap").status == 422
 
 
+def test_own_plots_fold_and_alignment_are_the_librarys(server: Served) -> None:
+    log = attitude_steps()
+    rows = server.ask("GET", "/api/logs/a.mcap/signals").json
+    assert ["theta", "estimated pitch", "deg"] in rows
+    panels = "".join(f"&panel={quote(text)}" for text in ("theta\nM", "q", "none"))
+    found = server.ask("GET", f"/api/logs/a.mcap/view?points=4000{panels}").json["views"]
+    assert [view["label"] for view in found][:3] == ["theta, M", "q [deg/s]", ""]
+    assert [curve["label"] for curve in found[0]["curves"]] == ["theta [deg]", "M [–]"]
+    shown = unpacked(found[1]["curves"][0]["value"], "<f4")
+    assert np.degrees(log["q"].value).max() == pytest.approx(shown.max(), rel=1e-6)
+    steps = step_responses(log)
+    (fold,) = server.ask("GET", "/api/logs/a.mcap/fold").json
+    assert fold["statistics"]["overshoot [%]"][0] == len(steps)
+    np.testing.assert_allclose(fold["mean"], np.mean(fold["shares"], axis=0))
+    later = steps[1].time
+    asked = f"/api/logs/compare?name=a.mcap&name=b.mat&zero={later}&zero={steps[0].time}"
+    told = server.ask("GET", asked).json
+    assert told["zero"] == {"a.mcap": later, "b.mat": steps[0].time}
+    assert told["window"][1] == pytest.approx(steps[-1].time - steps[0].time + 3.0)
+    assert server.ask("GET", f"{asked}&align=start&zero=nan").status == 422
+
+
+def test_a_renamed_log_keeps_notes_and_format(server: Served, tmp_path: Path) -> None:
+    write_log(attitude_steps(), tmp_path / "x.mat")
+    name = server.ask("POST", "/api/logs/x.mat", (tmp_path / "x.mat").read_bytes()).json["name"]
+    assert server.ask("PUT", f"/api/logs/{name}/notes", {"text": "gusts"}).status == 200
+    assert server.ask("POST", f"/api/logs/{name}/rename?to=best").json == {"name": "best.mat"}
+    assert server.ask("GET", "/api/logs/best.mat").json["notes"] == "gusts"
+    assert server.ask("POST", "/api/logs/best.mat/rename?to=b").json == {"name": "b-2.mat"}, "b.mat stays"
+    for to in ("..%2Fsecret", ".hidden", "a" * 130):
+        assert server.ask("POST", f"/api/logs/b-2.mat/rename?to={to}").status in (409, 422), to
+    assert server.ask("POST", "/api/logs/1%3Atheirs.parquet/rename?to=mine").status == 409
+    assert server.ask("POST", "/api/logs/b-2.mat/rename?to=c", token=WATCH).status == 403
+    assert server.ask("DELETE", "/api/logs/b-2.mat").status == 200
+
+
 def test_a_replay_holds_the_samples(server: Served) -> None:
     found = server.ask("GET", "/api/logs/a.mcap/replay").json
     log = attitude_steps()

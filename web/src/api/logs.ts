@@ -104,7 +104,20 @@ export interface LoggedStep {
   peak: number | null;
 }
 
+/** Steps of a loop under the same parameters, over each other, as shares of the step; `after_s` is their last change. */
+export interface LoggedFold {
+  loop: LoggedStep["loop"];
+  after_s: number | null;
+  /** Figure -> steps that have it, mean, deviation, least and greatest value. */
+  statistics: Record<string, (number | null)[]>;
+  time: number[];
+  shares: number[][];
+  mean: number[];
+  deviation: number[];
+}
+
 export interface LogComparison extends LogView {
+  zero: Record<string, number>;
   steps: Record<string, LoggedStep[]>;
 }
 
@@ -130,9 +143,20 @@ export const logSummary = (name: string): Promise<LogSummary | Unreadable> => ge
 export const logReplay = (name: string): Promise<LogReplay> => get(`${of(name)}/replay`);
 export const logSteps = (name: string): Promise<{ steps: LoggedStep[]; unclear: string }> => get(`${of(name)}/steps`);
 
-/** Return a window of a log, or all of it, with `points` per curve. */
-export function logView(name: string, window?: readonly [number, number], points = 2000): Promise<LogView> {
+export const logSignals = (name: string): Promise<[string, string, string][]> => get(`${of(name)}/signals`);
+export const logFold = (name: string): Promise<LoggedFold[]> => get(`${of(name)}/fold`);
+export const renameLog = (name: string, to: string): Promise<{ name: string }> =>
+  send("POST", `${of(name)}/rename?to=${encodeURIComponent(to)}`);
+
+/** Return a window of a log, or all of it, with `points` per curve: plots of the signals in `panels`, then the usual. */
+export function logView(
+  name: string,
+  window?: readonly [number, number],
+  points = 2000,
+  panels: readonly (readonly string[])[] = [],
+): Promise<LogView> {
   const query = new URLSearchParams({ points: String(points) });
+  for (const panel of panels) query.append("panel", panel.join("\n"));
   if (window) {
     query.set("begin", String(window[0]));
     query.set("end", String(window[1]));
@@ -140,8 +164,14 @@ export function logView(name: string, window?: readonly [number, number], points
   return get(`${of(name)}/view?${query}`);
 }
 
-export function compareLogs(names: readonly string[], align: "step" | "start"): Promise<LogComparison> {
+/** Compare logs; `zero` are their times 0 [s], in place of their first steps. */
+export function compareLogs(
+  names: readonly string[],
+  align: "step" | "start",
+  zero: readonly number[] = [],
+): Promise<LogComparison> {
   const query = new URLSearchParams([["align", align], ...names.map((name) => ["name", name])]);
+  for (const time of zero) query.append("zero", String(time));
   return get(`logs/compare?${query}`);
 }
 

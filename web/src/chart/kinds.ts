@@ -33,6 +33,8 @@ export interface Panel {
 
 /** Curve of a static plot, rising in x. */
 export interface Series extends Stroke {
+  /** One of many, drawn thin, without a place in the legend. */
+  faint?: boolean;
   x: Float64Array;
   y: Float32Array | Float64Array;
   band?: { low: Float32Array | Float64Array; high: Float32Array | Float64Array };

@@ -1,5 +1,7 @@
 import type { History } from "./history";
 
+export const CURSORS = "ABCDEFGH";
+const HIT = 0.005; // share of the range
 const SHORTEST = 0.02; // [s]: five samples
 const LONGEST = 1000; // [s]
 
@@ -7,10 +9,14 @@ const LONGEST = 1000; // [s]
 export abstract class View {
   /** Position of the mouse or of the arrow keys. */
   pointer = $state<number | null>(null);
-  /** Cursors A and B. */
+  /** Cursors A, B and so on. */
   pins = $state<readonly number[]>([]);
 
-  constructor(readonly log = false) {}
+  /** `origin` returns the x that is shown as 0. */
+  constructor(
+    readonly log = false,
+    readonly origin = () => 0,
+  ) {}
 
   abstract range(): readonly [number, number];
   abstract setRange(low: number, high: number): void;
@@ -24,9 +30,12 @@ export abstract class View {
     this.pins = [];
   }
 
-  /** Set cursor A, then B, then A again. */
+  /** Set the next cursor, or remove the one that stands there. */
   pin(x: number): void {
-    this.pins = this.pins.length === 1 ? [...this.pins, x] : [x];
+    const near = this.moved(x, HIT) - x;
+    const others = this.pins.filter((pin) => Math.abs(pin - x) > near);
+    if (others.length < this.pins.length) this.pins = others;
+    else if (others.length < CURSORS.length) this.pins = [...others, x];
   }
 
   /** Return `x` moved by a share of the range. */
@@ -47,8 +56,9 @@ export class LineView extends View {
   constructor(
     readonly all: () => readonly [number, number],
     log = false,
+    origin = () => 0,
   ) {
-    super(log);
+    super(log, origin);
   }
 
   range(): readonly [number, number] {

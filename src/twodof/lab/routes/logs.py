@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from fastapi import Path, Query, Request
 from fastapi.responses import FileResponse, Response
-from pydantic import Field
+from pydantic import Field, FiniteFloat
 from starlette.background import BackgroundTask
 
 from twodof.errors import LogError, Rejected, TwodofError
@@ -61,12 +61,15 @@ async def compare(
     begin: Moment = None,
     end: Moment = None,
     points: Points = 2000,
+    zero: Annotated[
+        list[FiniteFloat] | None, Query(description="Time 0 [s] of each log, in place of its first step.")
+    ] = None,
 ) -> dict[str, Any]:
     """Compare logs, with time 0 at the first step of a set-point or at the start, and their steps."""
     if len(set(name)) < len(name):
         raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each log once")
     paths = {one: str(lab.whole_log(one)) for one in name}
-    return await _work(lab, log_work.compare, paths, align, _window(begin, end), points)
+    return await _work(lab, log_work.compare, paths, align, _window(begin, end), points, zero or [])
 
 
 @router.get("/{name}")
@@ -115,16 +118,29 @@ async def view(
     end: Moment = None,
     points: Points = 2000,
     topic: Annotated[list[str] | None, Query(max_length=20, description="Signals; left out: the usual ones.")] = None,
+    panel: Annotated[list[str] | None, Query(max_length=20, description="Own plot: its signals, a line each.")] = None,
 ) -> dict[str, Any]:
     """Plot a part of a log: curves thinned to lowest and highest values, modes, failsafe, excitations."""
     path = str(lab.whole_log(name))
-    return await _work(lab, log_work.view, path, _window(begin, end), topic or [], points)
+    return await _work(lab, log_work.view, path, _window(begin, end), topic or [], points, panel or [])
+
+
+@router.get("/{name}/signals")
+async def signals(lab: CurrentLab, name: Name) -> list[list[str]]:
+    """List the signals that can be plotted, each with description and unit."""
+    return await _work(lab, log_work.signals, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/steps")
 async def steps(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Return the steps of set-points with rise, overshoot, settling, peak and largest moment."""
     return await _work(lab, log_work.steps, str(lab.whole_log(name)))
+
+
+@router.get("/{name}/fold")
+async def fold(lab: CurrentLab, name: Name) -> list[dict[str, Any]]:
+    """Lay the steps of each loop over each other: responses as a share of the step, their mean and deviation."""
+    return await _work(lab, log_work.fold, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/replay")
@@ -152,6 +168,13 @@ async def note(lab: CurrentLab, name: Name, notes: LogNotes) -> dict[str, str]:
     return {"text": notes.text}
 
 
+@router.post("/{name}/rename")
+async def rename(lab: CurrentLab, name: Name, to: LogName) -> dict[str, str]:
+    """Rename a log and its notes, in the same format; return the name, numbered if another log has it."""
+    path = _settled(lab, name)
+    return {"name": lab.logs.take_in(path, f"{to}{path.suffix}")}
+
+
 @router.post("/trash/{entry}/restore")
 async def restore(lab: CurrentLab, entry: Annotated[str, Path(max_length=300)]) -> dict[str, str]:
     """Restore a deleted log; return its name."""
@@ -161,9 +184,7 @@ async def restore(lab: CurrentLab, entry: Annotated[str, Path(max_length=300)]) 
 @router.post("/{name}/recover")
 async def recover(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Recover the sound parts of a recording that was cut off, as a new log; return its name, and the damage."""
-    path = lab.logs.ours(name)
-    if path.name in lab.drones.recordings:
-        raise Rejected("the log is being recorded", path.name, "disarm the drone first")
+    path = _settled(lab, name)
     with lab.logs.scratch() as folder:
         made = FilePath(folder) / "recovered.mcap"
         told = await _work(lab, log_work.recovered, str(path), str(made), seconds=CONVERT_S)
@@ -173,9 +194,7 @@ async def recover(lab: CurrentLab, name: Name) -> dict[str, Any]:
 @router.delete("/{name}")
 async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Delete a log; for some days `restore` brings it back."""
-    path = lab.logs.ours(name)
-    if path.name in lab.drones.recordings:
-        raise Rejected("the log is being recorded", path.name, "disarm the drone first")
+    path = _settled(lab, name)
     return lab.logs.trash.put(path)
 
 
@@ -201,6 +220,14 @@ async def made_file(lab: LabServer, name: str, work: Callable[..., object], *arg
         raise
     media, end = "application/octet-stream", BackgroundTask(folder.cleanup)
     return FileResponse(made, filename=name, media_type=media, background=end)
+
+
+def _settled(lab: LabServer, name: str) -> FilePath:
+    """Return the place of a log that may be changed: of the own folder, not being recorded. Raises as `ours`."""
+    path = lab.logs.ours(name)
+    if path.name in lab.drones.recordings:
+        raise Rejected("the log is being recorded", path.name, "disarm the drone first")
+    return path
 
 
 def _in_words(reason: TwodofError) -> str:

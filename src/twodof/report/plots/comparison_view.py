@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from statistics import median
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,12 +58,16 @@ def flight_steps(logs: Mapping[str, FlightLog]) -> dict[str, tuple[FlownStep, ..
 
 
 def comparison_view(
-    logs: Mapping[str, FlightLog], align: Align = Align.step, window: tuple[float, float] | None = None
+    logs: Mapping[str, FlightLog],
+    align: Align = Align.step,
+    window: tuple[float, float] | None = None,
+    zero: Mapping[str, float] = MappingProxyType({}),
 ) -> FlightView:
     """Return the view of the flights `logs`, by their names in the legend, one over the other.
 
-    `window` [s] counts from the alignment. The default is from half a second before the first step to three seconds
-    after the last, or the whole flights. Raises LogError for fewer than two flights or more than `MOST_FLIGHTS`, for a
+    `zero` has the time 0 [s] of flights that are aligned elsewhere, such as at a later step. `window` [s] counts from
+    the alignment. The default is from half a second before the first step to three seconds after the last, or the whole
+    flights. Raises LogError for fewer than two flights or more than `MOST_FLIGHTS`, for a
     window in which nothing was logged, and as `flight_steps` does.
     """
     if not 2 <= len(logs) <= MOST_FLIGHTS:
@@ -71,15 +76,19 @@ def comparison_view(
     if align is Align.step:
         steps = flight_steps(logs)
         loop = next(iter(steps.values()))[0].loop
-        zero = {name: found[0].time for name, found in steps.items()}
-        last = max(found[-1].time - found[0].time for found in steps.values())
-        span = (-_BEFORE_S, last + _AFTER_S)
+        zero = {name: found[0].time for name, found in steps.items()} | dict(zero)
+        first = min(found[0].time - zero[name] for name, found in steps.items())
+        last = max(found[-1].time - zero[name] for name, found in steps.items())
+        span = (first - _BEFORE_S, last + _AFTER_S)
         panels = list(dict.fromkeys((_PANEL_OF[loop], "pitch" if loop != "rate" else "pitch rate", "motors")))
         notes = [_figures(name, found) for name, found in steps.items()]
         clock = "time from the first step"
     else:
-        zero = {name: log.span[0] for name, log in logs.items()}
-        span = (0.0, max(log.span[1] - log.span[0] for log in logs.values()))
+        zero = {name: log.span[0] for name, log in logs.items()} | dict(zero)
+        span = (
+            min(log.span[0] - zero[name] for name, log in logs.items()),
+            max(log.span[1] - zero[name] for name, log in logs.items()),
+        )
         panels, clock = ["position", "velocity", "pitch", "pitch rate", "motors"], "time from the start"
     if window is not None:
         if not window[0] < window[1]:

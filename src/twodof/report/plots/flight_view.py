@@ -15,7 +15,7 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, named_cau
 from twodof.flightlog.contents import excitations
 from twodof.flightlog.events import MAX_EVENTS, modes
 from twodof.flightlog.files import check_folder
-from twodof.flightlog.log import FlightLog, decimate
+from twodof.flightlog.log import Channel, FlightLog, decimate
 from twodof.report.content import Span
 from twodof.signals import BY_MAT, BY_NAME
 
@@ -183,6 +183,47 @@ def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, fl
     )
     unit = f" [{'–' if there.unit == '-' else there.unit}]" if there.unit else ""
     return View(printable(f"{row.name if row else channel}{unit}"), curves)
+
+
+_SHOWN = MappingProxyType({"rad": (_DEGREES, "deg"), "rad/s": (_DEGREES, "deg/s"), "-": (1.0, "–")})
+
+
+def signal_names(log: FlightLog) -> dict[str, tuple[str, str]]:
+    """Return description and unit on the screen of each signal: a channel, or `CHANNEL/FIELD` of one with fields."""
+    found = {}
+    for name, channel in log.channels.items():
+        row = BY_MAT.get(name)
+        fields = channel.fields or tuple(map(str, range(channel.value.shape[1] if channel.value.ndim == 2 else 0)))
+        for one in [f"{name}/{field}" for field in fields] or [name]:
+            found[one] = (row.text if row else "", _SHOWN.get(channel.unit, (1.0, channel.unit.replace("^2", "²")))[1])
+    return found
+
+
+def signals_panel(log: FlightLog, names: Sequence[str], window: tuple[float, float] | None = None) -> View:
+    """Return one panel with the signals `names`, as `signal_names` has them, without those that the log lacks.
+
+    The unit is in the label if it is the same for all, else with each curve. Raises LogError as `flight_view` does.
+    """
+    known, span = signal_names(log), _span(log, window)
+    there = [name for name in names if name in known]
+    units = {known[name][1] for name in there}
+    curves = []
+    for name in there:
+        channel = name if name in log else name.rpartition("/")[0]
+        samples = log[channel]
+        scale = _SHOWN.get(samples.unit, (1.0, ""))[0]
+        value = samples.value if name == channel else _field(samples, name.rpartition("/")[2])
+        row = BY_MAT.get(channel)
+        held = channel in _FOLLOWED or channel in ("M", "T") or (row is not None and row.rate_hz == 0.0)
+        unit = f" [{known[name][1]}]" if len(units) > 1 and known[name][1] else ""
+        time, shown = cut_curve(log, channel, samples.time, scale * value, span)
+        curves.append(Curve(printable(name + unit), name, time, shown, held))
+    common = f" [{unit}]" if len(units) == 1 and (unit := units.pop()) else ""
+    return View(printable(", ".join(there) + common), tuple(curves))
+
+
+def _field(channel: Channel, name: str) -> Array:
+    return channel.field(name) if channel.fields else channel.value[:, int(name)]
 
 
 def _panel(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, float]) -> View:

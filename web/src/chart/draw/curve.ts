@@ -66,7 +66,7 @@ export function yExtent(curves: readonly Curve[], low: number, high: number): [n
 /** Draw a curve and its band into uPlot's axes. */
 export function paintCurve(u: uPlot, curve: Curve): void {
   const { ctx } = u;
-  const { x, y, band, kind, dash, colour: token = kind } = curve.series;
+  const { x, y, band, kind, dash, faint, colour: token = kind } = curve.series;
   const { min = 0, max = 1 } = u.scales["x"] ?? {};
   const from = Math.max(0, curve.rowAt(min!) - 1);
   const to = Math.min(curve.last, curve.rowAt(max!) + 1);
@@ -82,8 +82,10 @@ export function paintCurve(u: uPlot, curve: Curve): void {
     ctx.globalAlpha = 1;
   }
   ctx.strokeStyle = colour(token);
-  ctx.lineWidth = devicePixelRatio * (kind === "measured" ? 1 : 1.5);
+  ctx.lineWidth = devicePixelRatio * (kind === "measured" || faint ? 1 : 1.5);
+  if (faint) ctx.globalAlpha = 0.4;
   ctx.setLineDash((dash ?? DASHES[kind] ?? []).map((one) => one * devicePixelRatio));
   ctx.stroke(samplePath(from, to, toX, (row) => toY(y[row]!)));
   ctx.setLineDash([]);
+  ctx.globalAlpha = 1;
 }

@@ -6,7 +6,7 @@ const CLICK = 4; // pixels that a click may move
 
 /**
  * Handle pointers on a plot: drag pans, Shift and drag zooms to the marked range, two fingers and the wheel zoom, a click
- * sets a cursor, a double click resets the view. On a static plot the wheel needs a click before.
+ * sets or removes a cursor, a double click resets the view. On a static plot the wheel needs a click before.
  */
 export function pointers(u: uPlot, view: () => View, keep: AbortSignal): void {
   const over = u.over;
@@ -72,7 +72,7 @@ export function pointers(u: uPlot, view: () => View, keep: AbortSignal): void {
 
 /** Help text of the keys. */
 export const KEYS =
-  "Left and right move the cursor, with Shift they pan; plus and minus zoom; Enter sets a cursor; " +
+  "Left and right move the cursor, with Shift they pan; plus and minus zoom; Enter sets or removes a cursor; " +
   "Home shows all, End the newest; Escape clears; Space pauses a live plot.";
 
 /** Handle a key on a plot. Returns whether the plot uses it. */

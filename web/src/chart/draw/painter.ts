@@ -1,4 +1,5 @@
 import type uPlot from "uplot";
+import { CURSORS } from "../views.svelte";
 import type { History } from "../history";
 import { DASHES, type Channel } from "../kinds";
 import { colour } from "./canvas";
@@ -178,6 +179,6 @@ export function paintPins(u: uPlot, pins: readonly number[]): void {
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);
     ctx.stroke();
-    ctx.fillText("AB"[k] ?? "", x + 4 * ratio, bbox.top + 3 * ratio);
+    ctx.fillText(CURSORS[k] ?? "", x + 4 * ratio, bbox.top + 3 * ratio);
   });
 }

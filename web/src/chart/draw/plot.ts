@@ -38,6 +38,16 @@ export function makePlot(
     labelSize: 18,
     values: (_u, ticks) => ticks.map(tick),
   };
+  const fromOrigin: uPlot.Axis = view.log
+    ? {}
+    : {
+        splits: (_u, _axis, low, high, step) => {
+          const first = Math.ceil((low - view.origin()) / step);
+          const last = Math.floor((high - view.origin()) / step);
+          return Array.from({ length: last - first + 1 }, (_, k) => (first + k) * step + view.origin());
+        },
+        values: (_u, ticks) => ticks.map((one) => tick(one - view.origin())),
+      };
   const draw = (u: uPlot): void => {
     const { ctx, bbox } = u;
     ctx.save();
@@ -63,7 +73,7 @@ export function makePlot(
       scales: { x: { time: false, auto: false, distr: view.log ? 3 : 1 }, y: { auto: false } },
       series: [{}],
       axes: [
-        { ...style, ...(labels()[0] ? { label: () => labels()[0] } : {}), size: 28, space: 64 },
+        { ...style, ...fromOrigin, ...(labels()[0] ? { label: () => labels()[0] } : {}), size: 28, space: 64 },
         { ...style, label: () => labels()[1], size: 50, space: (_u, _axis, _low, _high, height) => TICKS_Y(height) },
       ],
       hooks: {
@@ -103,7 +113,9 @@ export function makePlot(
 /** Return an axis range with some margin, never narrower than `least`. */
 export function roomy(low: number, high: number, least: number): [number, number] {
   if (!(low <= high)) return [-least / 2, least / 2];
-  const spare = Math.max(0.08 * (high - low), (least - (high - low)) / 2);
+  // Ticks that are closer than floats can tell apart make uPlot count without end.
+  const narrowest = Math.max(least, 1e-6 * Math.abs(low), 1e-6 * Math.abs(high));
+  const spare = Math.max(0.08 * (high - low), (narrowest - (high - low)) / 2);
   return [low - spare, high + spare];
 }
 

@@ -11,11 +11,13 @@ import {
   type LogView,
 } from "../../api/logs";
 import { LineView } from "../../chart/views.svelte";
-import { isThinned, panels, type Panel } from "./curves";
+import { isThinned, panels, spliced, type Panel } from "./curves";
+import { ownPlots } from "./own_plots.svelte";
 import { advance, Replay } from "./replay";
 
-const POINTS = 2000;
-const SETTLES_MS = 150;
+const LOUD = ["emergency", "alert", "critical", "error", "warning"];
+const POINTS = 4000;
+const PAUSE_MS = 150;
 
 export class OpenLog {
   facts = $state.raw<LogFacts | undefined>();
@@ -33,13 +35,30 @@ export class OpenLog {
   plays = $state(false);
   speed = $state(1);
   readonly span = $derived<readonly [number, number]>(this.facts?.span ?? [0, 1]);
-  readonly view = new LineView(() => this.span);
+  /** Time [s] in the log that is shown as 0. */
+  readonly zero = $derived(ownPlots.fromZero ? this.span[0] : 0);
+  readonly view = new LineView(
+    () => this.span,
+    false,
+    () => this.zero,
+  );
   /** Time of the 3-D view: the pointer on a plot, or the replay. */
   readonly now = $derived(this.plays ? this.time : (this.view.pointer ?? this.time));
 
+  /** Changes of parameters and messages. */
+  readonly marks = $derived.by(() => {
+    const { changes = [], texts = [] } = this.facts ?? {};
+    const marks: { time: number; kind: string; label: string }[] = [
+      ...changes.map(([time, name, value]) => ({ time, kind: "change", label: `${name} set to ${value}` })),
+      ...texts.map(([time, severity, label]) => ({ time, kind: LOUD.includes(severity) ? "loud" : "said", label })),
+    ];
+    return marks.filter(({ time }) => time === this.inside(time)).sort((a, b) => a.time - b.time);
+  });
+
   private all: readonly Panel[] = [];
   private frame = 0;
-  private asks = 0;
+  /** Range of the request on its way, or of the next one. */
+  private wanted: readonly [number, number] | undefined;
 
   constructor(readonly name: string) {}
 
@@ -53,12 +72,10 @@ export class OpenLog {
         this.failure = new Error(`${this.name} cannot be read: ${facts.unreadable}`);
         return;
       }
-      const view = await logView(this.name, undefined, POINTS);
+      await this.plot();
       this.facts = facts;
       if (Number.isFinite(at)) this.seek(at);
       else this.time = facts.span[0];
-      this.whole = view;
-      this.all = this.shown = panels(view);
       const [steps, replay] = await Promise.all([logSteps(this.name), logReplay(this.name)]);
       this.steps = steps;
       this.replay = new Replay(replay);
@@ -67,24 +84,36 @@ export class OpenLog {
     }
   }
 
-  /** Load more points of the visible range. Returns a function that cancels it. */
-  look([low, high]: readonly [number, number]): () => void {
-    const number = (this.asks += 1);
-    const [start, end] = this.span;
-    if ((low <= start && high >= end) || !isThinned(this.all, POINTS)) {
-      this.shown = this.all;
-      return () => {};
-    }
-    const timer = setTimeout(async () => {
-      const margin = 0.25 * (high - low);
+  /** Load the plots of the whole log. */
+  async plot(): Promise<void> {
+    const own = ownPlots.panels;
+    this.whole = await logView(this.name, undefined, POINTS, own);
+    this.all = this.shown = panels(this.whole, [], own.length);
+    void this.look(this.view.range());
+  }
+
+  /** Load more points of the visible range, again while it changes. */
+  async look(range: readonly [number, number]): Promise<void> {
+    const busy = this.wanted !== undefined;
+    this.wanted = range;
+    for (let ready = busy; !ready; ready = this.wanted === range) {
+      await new Promise((done) => setTimeout(done, PAUSE_MS));
+      const [low, high] = (range = this.wanted);
+      const [start, end] = this.span;
+      if ((low <= start && high >= end) || !isThinned(this.all, POINTS)) {
+        this.shown = this.all;
+        continue;
+      }
+      const margin = 0.5 * (high - low);
       try {
-        const part = await logView(this.name, [low - margin, high + margin], POINTS);
-        if (number === this.asks) this.shown = merged(this.all, panels(part));
+        const own = ownPlots.panels;
+        const part = await logView(this.name, [low - margin, high + margin], POINTS, own);
+        this.shown = merged(this.all, panels(part, [], own.length));
       } catch {
         // What is shown stays: it is the same part, with fewer points.
       }
-    }, SETTLES_MS);
-    return () => clearTimeout(timer);
+    }
+    if (!busy) this.wanted = undefined;
   }
 
   seek(time: number): void {
@@ -122,15 +151,13 @@ export class OpenLog {
   }
 }
 
-/** Replace curves by finer ones; the panels stay the same. */
+/** Put finer curves in place; the panels stay the same. */
 function merged(all: readonly Panel[], part: readonly Panel[]): Panel[] {
   return all.map((one) => ({
     ...one,
     series: one.series.map((curve) => {
-      const finer = part
-        .find((other) => other.label === one.label)
-        ?.series.find((other) => other.label === curve.label);
-      return finer ?? curve;
+      const finer = part.find((other) => other.key === one.key)?.series.find((other) => other.label === curve.label);
+      return finer ? spliced(curve, finer) : curve;
     }),
   }));
 }
