@@ -45,7 +45,7 @@ def test_a_moment_without_a_number_stops_the_motors(bad: float, tmp_path: Path) 
     laboratory = Laboratory("lab", controllers=[breaks(ATTITUDE, 3.0, {"M": (0.0, bad)})])
     flight = laboratory.fly("attitude-steps")
     assert not flight.good
-    found = check(flight, "commands are numbers")
+    found = check(flight, "commands finite")
     assert not found.passed
     assert found.seen.startswith("M is not finite from 3.000 s on, in ")
     assert finite(flight.log)
@@ -88,7 +88,7 @@ def test_whatever_is_no_number_ends_as_data(controller: Diagram) -> None:
         assert finite(flight.log)
         # A doublet is flown in the rings, where no position controller is asked.
         reached = "motor_1" in controller.outputs or name == "velocity-doublets"
-        assert check(flight, "commands are numbers").passed is not reached
+        assert check(flight, "commands finite").passed is not reached
 
 
 def test_a_controller_that_drives_into_the_stop_is_data_too() -> None:

@@ -119,10 +119,10 @@ def commanded(out: Signals) -> FlightCheck:
     lost = {name: np.flatnonzero(~np.isfinite(out[name])) for name in ("M", "T")}
     first = {name: steps[0] * PERIOD for name, steps in lost.items() if steps.size}
     if not first:
-        return FlightCheck("commands are numbers", True, "M and T are")
+        return FlightCheck("commands finite", True, "M and T")
     name = min(first, key=lambda name: first[name])
     return FlightCheck(
-        "commands are numbers",
+        "commands finite",
         False,
         f"{name} is not finite from {first[name]:.3f} s on, in {lost[name].size} steps, where the motors were stopped",
     )
