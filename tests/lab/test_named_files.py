@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from twodof.errors import LogError, ParameterError, Rejected
-from twodof.lab.answers import NotThere
+from twodof.lab.answers import NotThere, without_folders
 from twodof.lab.folders import NamedFiles
 
 
@@ -41,3 +41,17 @@ def test_a_name_with_the_suffix_is_found_not_made(tmp_path: Path) -> None:
 def test_a_name_stays_in_its_folder(tmp_path: Path, name: str) -> None:
     with pytest.raises(ParameterError, match="cannot be a snapshot's name"):
         NamedFiles(tmp_path, ".params", "snapshot", 2).save(name, "")
+
+
+@pytest.mark.parametrize(
+    ("told", "shown"),
+    [
+        ("/home/a b/flights/x.mat: cannot be read", "x.mat: cannot be read"),
+        ("/srv/1:2/x.mat: twodof log recover /srv/1:2/x.mat", "x.mat: twodof log recover x.mat"),
+        ("no room: /é/x.csv.", "no room: x.csv."),
+        ("/a/x.mat and /b/c/y.mat", "x.mat and y.mat"),
+        ("GET /api/logs/x, http://127.0.0.1:80/a/b, 3 m/s", "GET /api/logs/x, http://127.0.0.1:80/a/b, 3 m/s"),
+    ],
+)
+def test_texts_name_files_without_folders(told: str, shown: str) -> None:
+    assert without_folders(told) == shown

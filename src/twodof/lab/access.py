@@ -23,7 +23,7 @@ from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from fastapi import APIRouter, Depends
@@ -93,14 +93,6 @@ class LabClient(NamedTuple):
 
 CLIENT: ContextVar[LabClient] = ContextVar("client", default=LabClient(Role.COMMAND, "this program"))  # noqa: B039
 """Client whose request is served."""
-
-
-async def current_client() -> LabClient:
-    """Return the client whose request is served."""
-    return CLIENT.get()
-
-
-CurrentClient = Annotated[LabClient, Depends(current_client)]
 
 
 @dataclass(frozen=True)

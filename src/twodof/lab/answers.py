@@ -78,7 +78,7 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 
 REFUSED, NOT_THERE, MALFORMED, TOO_LATE, DISK_FULL = 409, 404, 422, 504, 507
-_FOLDERS = re.compile(r"(?<![\w:/.~])/(?!api/)(?=\S)(?:[^/\n:]*/)+")
+_FOLDERS = re.compile(r"(?<![\w:/.~])/(?!api/)(?=\S)(?:(?:[^/\n:]|:(?! ))*(?<! )/)+")
 _MOST_MISTAKES = 3
 
 

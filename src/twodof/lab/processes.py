@@ -297,23 +297,22 @@ class Jobs:
         kind: str,
         work: Callable[..., object],
         *arguments: Any,
-        client: LabClient | None = None,
         in_real_time: bool = False,
     ) -> Job:
         """Run `work(progress, *arguments)` in a process of its own; return its job at once.
 
         `work` is a function of a module, its arguments can be pickled, and it returns plain data for JSON. It calls
         `progress(fraction, text)` as it goes on. Work `in_real_time` has to keep up with a drone: it begins at once, at
-        full priority. Raises Rejected if too many jobs wait, or if a `client` that only watches has too many.
+        full priority. Raises Rejected if too many jobs wait, or if the client only watches and has too many.
         """
-        watcher = client if client is not None and client.role is Role.WATCH else None
+        role, person = client = CLIENT.get()
+        watcher = client if role is Role.WATCH else None
         if not in_real_time:
             self._check_share(watcher)
 
         async def run(job: Job) -> None:
             # What flies does not wait for what computes, for a viewer perhaps.
-            role, person = (Role.COMMAND, "") if watcher is None else watcher
-            async with nullcontext() if in_real_time else self._turns[role].turn(person):
+            async with nullcontext() if in_real_time else self._turns[role].turn(person if watcher else ""):
                 job.text = ""
                 process = _WorkProcess(f"job {kind}", TwodofError, background=True, nice=not in_real_time)
                 try:

@@ -199,7 +199,6 @@ def _listening(settings: LabSettings) -> socket.socket:
         if hasattr(socket, "TCP_DEFER_ACCEPT"):  # who sends nothing costs nothing
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, round(HEAD_S))
         made.listen(BACKLOG)
-        os.set_inheritable(made.fileno(), False)
     except OSError as error:
         made.close()
         what = f"cannot listen: {error.strerror or error}"

@@ -193,11 +193,6 @@ class Outbox:
     _filled: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
-    def waiting(self) -> int:
-        """Bytes of waiting rows."""
-        return self._bytes
-
-    @property
     def frozen(self) -> bool:
         """True for a client that has answered `alive` before, but not the last times."""
         return self.unanswered > MOST_UNANSWERED
@@ -267,6 +262,11 @@ class FeedKey(NamedTuple):
     rate: float
     role: Role = Role.COMMAND
 
+    @property
+    def truth(self) -> bool:
+        """True for a feed with the true state of a virtual rig."""
+        return any(column in TRUTH for column in self.columns)
+
 
 class _Feed:
     """Rows of one key for the subscriptions `to`. `waiting` are those of the last times, at most `MOST_TIMES`."""
@@ -315,6 +315,11 @@ class Feeds:
     def wanted(self) -> bool:
         """True if there is a feed."""
         return bool(self._feeds)
+
+    @property
+    def truth_wanted(self) -> bool:
+        """True if a feed has the true state of a virtual rig."""
+        return any(key.truth for key in self._feeds)
 
     def add(self, key: FeedKey, stream: StreamState, outbox: Outbox) -> None:
         """Add a subscription to the feed `key`; a rate above the full rate counts as the full rate."""

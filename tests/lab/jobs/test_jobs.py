@@ -13,9 +13,11 @@ import pytest
 from tests.patience import PATIENCE_S
 from tests.processes import alive
 from twodof.errors import IdentificationError, Rejected
-from twodof.lab.access import LabClient, Role
+from twodof.lab.access import CLIENT, LabClient, Role
 from twodof.lab.answers import NotThere
 from twodof.lab.processes import AT_ONCE, MOST_KEPT, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Job, Jobs, Progress
+
+OURS = CLIENT.get()
 
 
 def counts(progress: Progress, number: int) -> dict[str, object]:
@@ -67,6 +69,15 @@ def with_jobs(work: Callable[[Jobs, list[Mapping[str, Any]]], Awaitable[None]]) 
     asyncio.run(run())
 
 
+def started(jobs: Jobs, work: Callable[[Progress], object], client: LabClient) -> Job:
+    """Start work for a client."""
+    CLIENT.set(client)
+    try:
+        return jobs.start(work.__name__, work)
+    finally:
+        CLIENT.set(OURS)
+
+
 async def until(condition: Callable[[], object]) -> None:
     while not condition():
         await asyncio.sleep(0.005)
@@ -113,16 +124,16 @@ def test_a_job_that_fails_says_why_and_the_next_one_runs(
 def test_watchers_have_a_share_of_the_jobs() -> None:
     async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
         watchers = [LabClient(Role.WATCH, f"10.0.0.{k}") for k in range(3)]
-        first = [jobs.start("sleep", sleeps, client=watchers[0]) for _ in range(MOST_OF_ONE)]
+        first = [started(jobs, sleeps, watchers[0]) for _ in range(MOST_OF_ONE)]
         with pytest.raises(Rejected, match=f"{MOST_OF_ONE} jobs of yours"):
-            jobs.start("sleep", sleeps, client=watchers[0])
+            started(jobs, sleeps, watchers[0])
         for _ in range(MOST_OF_WATCHERS - MOST_OF_ONE):
-            jobs.start("sleep", sleeps, client=watchers[1])
+            started(jobs, sleeps, watchers[1])
         with pytest.raises(Rejected, match="of watching clients"):
-            jobs.start("sleep", sleeps, client=watchers[2])
-        jobs.start("sleep", sleeps, client=LabClient(Role.COMMAND, "10.0.0.0"))
+            started(jobs, sleeps, watchers[2])
+        started(jobs, sleeps, LabClient(Role.COMMAND, "10.0.0.0"))
         await jobs.cancel(first[-1].id)
-        jobs.start("sleep", sleeps, client=watchers[0])
+        started(jobs, sleeps, watchers[0])
 
     with_jobs(work)
 
@@ -132,12 +143,12 @@ def test_watchers_jobs_delay_and_forget_no_others() -> None:
         watchers = [LabClient(Role.WATCH, f"10.0.0.{k}") for k in range(2)]
         for watcher in watchers:
             for _ in range(MOST_OF_ONE):
-                last = jobs.start("sleep", sleeps, client=watcher)
+                last = started(jobs, sleeps, watcher)
         ours = jobs.start("count", counts, 0)
         await until(lambda: ours.over)
         for _ in range(2 * MOST_KEPT):
             await jobs.cancel(last.id)
-            last = jobs.start("sleep", sleeps, client=watchers[1])
+            last = started(jobs, sleeps, watchers[1])
         assert jobs[ours.id].result["counted"] == 0
 
     with_jobs(work)

@@ -131,7 +131,6 @@ def test_a_slow_client_loses_its_oldest_rows() -> None:
         outbox.put(Rows(slow, b"x" * size, 3))
     assert other.dropped == 1
     assert slow.dropped == 3 * 50
-    assert outbox.waiting <= MOST_BYTES
 
 
 def test_rows_larger_than_the_outbox_are_sent() -> None:

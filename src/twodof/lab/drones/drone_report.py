@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import isfinite
 from typing import Any
 
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.drone_state import DroneState, explanation_of
+from twodof.gcs.drone_state import explanation_of
 from twodof.gcs.recording import seconds
-
-
-def lost_report(number: int, url: str, why: str, last: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state of a drone that is not heard: its `last` report, if any, and `why` it is lost."""
-    unknown = _of_state(DroneState()) | {"system": number, "name": f"drone {number}", "ours": False, "time": 0.0}
-    unknown |= {"lease_holder": None, "tuning_withheld": False, "setpoint": None, "excitation": None, "recording": ""}
-    return {**unknown, **last, "url": url, "link": "lost", "why_lost": why, "ours_leases": False}
 
 
 def report(drone: AsyncDrone) -> dict[str, Any]:
@@ -24,10 +16,12 @@ def report(drone: AsyncDrone) -> dict[str, Any]:
     `time` is the drone's time as in its logs [s]; the battery's voltage is in V, its charge 0 to 1, both None while
     unknown.
     """
-    holder = drone.lease.holder
-    return _of_state(drone.state) | {
+    state, holder = drone.state, drone.lease.holder
+    safety, rig = state.safety, state.rig
+    fails = safety.action != "none" and (state.armed or bool(safety.reason))
+    return {
         "system": drone.session.system,
-        "name": drone.state.rig.name or f"drone {drone.session.system}",
+        "name": rig.name or f"drone {drone.session.system}",
         "url": drone.url,
         "link": "heard",
         "why_lost": "",
@@ -36,13 +30,6 @@ def report(drone: AsyncDrone) -> dict[str, Any]:
         "ours_leases": drone.lease.ours,
         "tuning_withheld": drone.lease.tuning_withheld,
         "time": seconds(drone.tick),
-    }
-
-
-def _of_state(state: DroneState) -> dict[str, Any]:
-    safety, rig = state.safety, state.rig
-    fails = safety.action != "none" and (state.armed or bool(safety.reason))
-    return {
         "autopilot": state.autopilot,
         "virtual": rig.virtual,
         "lockstep": rig.lockstep,

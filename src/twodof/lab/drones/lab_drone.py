@@ -15,7 +15,7 @@ from twodof.gcs.clock import DroneRestarted
 from twodof.gcs.drone_state import StatusText
 from twodof.gcs.recording import seconds
 from twodof.lab.answers import NotThere
-from twodof.lab.drones.drone_report import lost_report, report
+from twodof.lab.drones.drone_report import report
 from twodof.lab.drones.parameter_table import ParameterTable
 from twodof.lab.drones.pilot import FlightRecorder, Pilot
 from twodof.lab.drones.telemetry_source import TelemetrySource, until_one_ends
@@ -65,7 +65,7 @@ class DroneConnection:
         if self.drone.ours:
             work.append(self.parameters.run())
             if not self.drone.session.lockstep:
-                work += [TelemetrySource(self.drone, self._lab_drone.feeds).run(), self.recorder.run()]
+                work += [*TelemetrySource(self.drone, self._lab_drone.feeds).work(), self.recorder.run()]
         await until_one_ends(work)
 
     async def _ask_for_less(self) -> None:
@@ -130,7 +130,7 @@ class LabDrone:
     def state(self) -> dict[str, Any]:
         """State for clients; see docs/reference/lab-routes.md."""
         if self._connection is None:
-            return lost_report(self.number, self.url, self._why_lost, self._last)
+            return {**self._last, "link": "lost", "why_lost": self._why_lost, "ours_leases": False}
         return self._connection.report()
 
     @property

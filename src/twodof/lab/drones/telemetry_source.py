@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from contextlib import AsyncExitStack, suppress
 from functools import lru_cache
 from typing import Any
@@ -48,22 +48,37 @@ class TelemetrySource:
         self._flushing: asyncio.TimerHandle | None = None
         drone.session.on(lambda got: self._rows.action(got.since, got.action), "TWODOF_SAFETY")
 
-    async def run(self) -> None:
-        """Subscribe while a feed wants rows. Raises LinkLost."""
-        session = self._drone.session
+    def work(self) -> list[Coroutine[Any, Any, None]]:
+        """Return coroutines to run side by side, which subscribe while a feed wants rows. Each raises LinkLost."""
+        return [
+            self._subscribed(self._onboard, lambda: self._feeds.wanted),
+            self._subscribed(self._truth, lambda: self._feeds.truth_wanted),
+        ]
+
+    async def _onboard(self, stack: AsyncExitStack) -> None:
+        await stack.enter_async_context(self._drone.batches.to(self._take_batch, _ALL))
+
+    async def _truth(self, stack: AsyncExitStack) -> None:
+        if self._drone.state.rig.virtual:  # the truth of a real drone is unknown
+            await stack.enter_async_context(self._drone.rig_truth.to(self._take_truth))
+
+    async def _subscribed(self, subscribe: Callable[[AsyncExitStack], Any], wanted: Callable[[], bool]) -> None:
         while True:
-            while not self._feeds.wanted:
+            while not wanted():
                 await self._look()
             with suppress(Timeout, Rejected):  # the loop subscribes again
                 async with AsyncExitStack() as stack:
-                    await stack.enter_async_context(self._drone.batches.to(self._take_batch, _ALL))
-                    if self._drone.state.rig.virtual:  # the truth of a real drone is unknown
-                        await stack.enter_async_context(self._drone.rig_truth.to(self._take_truth))
-                    since = session.now
-                    while session.now - since < LINGER_S:
-                        if self._feeds.wanted:
-                            since = session.now
-                        await self._look()
+                    await subscribe(stack)
+                    await self._unwanted(wanted)
+
+    async def _unwanted(self, wanted: Callable[[], bool]) -> None:
+        """Wait until no feed wants rows for LINGER_S."""
+        session = self._drone.session
+        since = session.now
+        while session.now - since < LINGER_S:
+            if wanted():
+                since = session.now
+            await self._look()
 
     async def _look(self) -> None:
         session = self._drone.session

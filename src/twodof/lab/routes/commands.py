@@ -16,7 +16,7 @@ from twodof.experiment.experiments import LOOP_MODES, UNIT
 from twodof.experiment.prediction import predicted
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router
+from twodof.lab.access import CLIENT, WATCHERS_MAY, lab_router
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.flights import drawn, experiments
 from twodof.lab.lab import CurrentLab, LabServer
@@ -90,7 +90,7 @@ async def disarm(one: NamedDrone) -> dict[str, Any]:
 
 
 @router.post("/drones/{number}/kill", dependencies=[WATCHERS_MAY])
-async def kill(one: NamedDrone, client: CurrentClient) -> dict[str, Any]:
+async def kill(one: NamedDrone) -> dict[str, Any]:
     """Stop the motors now, under any lease; repeat the order until the drone confirms it. It holds until `release`.
 
     Clients that only watch may stop the motors too. All clients and the flight's log get a text that names the client.
@@ -99,7 +99,7 @@ async def kill(one: NamedDrone, client: CurrentClient) -> dict[str, Any]:
     try:
         await drone.kill()
     finally:  # also where it is not seen to stop
-        drone.texts.note("critical", f"the emergency stop was pressed by {client}")
+        drone.texts.note("critical", f"the emergency stop was pressed by {CLIENT.get()}")
     return one.state
 
 

@@ -16,7 +16,7 @@ from twodof.fleet.flash import FLYING
 from twodof.flight.starters import STARTERS, starter
 from twodof.gcs.async_drone import BUILDS
 from twodof.lab import diagram_work
-from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
+from twodof.lab.access import WATCHERS_MAY, lab_router, takes
 from twodof.lab.answers import NotThere, RequestBody
 from twodof.lab.folders import FileName
 from twodof.lab.lab import CurrentLab, LabServer
@@ -151,15 +151,15 @@ class FlashRequest(RehearsalRequest):
 
 
 @jobs_router.post("/margins", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def margins(lab: CurrentLab, client: CurrentClient, asked: LoopRequest) -> dict[str, Any]:
+async def margins(lab: CurrentLab, asked: LoopRequest) -> dict[str, Any]:
     """Start a job for the margins and Bode plots of the loops that a diagram closes."""
-    return lab.jobs.start("margins", diagram_work.margins, asked.text, asked.rig, client=client).to_json()
+    return lab.jobs.start("margins", diagram_work.margins, asked.text, asked.rig).to_json()
 
 
 @jobs_router.post("/px4", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
-async def px4(lab: CurrentLab, client: CurrentClient, asked: DiagramRequest) -> dict[str, Any]:
+async def px4(lab: CurrentLab, asked: DiagramRequest) -> dict[str, Any]:
     """Start a job that exports a module for PX4; its result has the folder as a zip file in base 64."""
-    return lab.jobs.start("px4", diagram_work.px4_module, asked.text, client=client).to_json()
+    return lab.jobs.start("px4", diagram_work.px4_module, asked.text).to_json()
 
 
 @jobs_router.post("/rehearsal", status_code=202, dependencies=[takes(MOST_TEXT)])

@@ -14,7 +14,7 @@ from pydantic import Field
 from twodof.errors import ParameterError, Rejected, listed, shown
 from twodof.identify.experiments import KINDS
 from twodof.identify.ready_made import AUTO, STRUCTURES
-from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
+from twodof.lab.access import WATCHERS_MAY, lab_router, takes
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.flights import ExperimentRequest, check, design, fly_experiment, identify, offered, plan
@@ -71,13 +71,12 @@ async def choices(lab: CurrentLab) -> dict[str, Any]:
 
 
 @router.post("/plan", status_code=202, dependencies=[WATCHERS_MAY])
-async def planned(lab: CurrentLab, client: CurrentClient, asked: PlanRequest) -> dict[str, Any]:
+async def planned(lab: CurrentLab, asked: PlanRequest) -> dict[str, Any]:
     """Start a job that predicts accuracy and motion of an experiment. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
     values = {} if asked.model is None else lab.models.values(asked.model)
     await lab.log_bench.do(check, asked.experiment)
-    given = (asked.experiment, rig, values, asked.rehearse)
-    return lab.jobs.start("plan", plan, *given, client=client).to_json()
+    return lab.jobs.start("plan", plan, asked.experiment, rig, values, asked.rehearse).to_json()
 
 
 @router.post("/fly", status_code=202)
@@ -114,7 +113,7 @@ async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> 
 
 
 @router.post("/fit", status_code=202, dependencies=[WATCHERS_MAY])
-async def fitted(lab: CurrentLab, client: CurrentClient, asked: FitRequest) -> dict[str, Any]:
+async def fitted(lab: CurrentLab, asked: FitRequest) -> dict[str, Any]:
     """Start a job that identifies from a log by output error and by hand; its result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
         what = f"nothing is identified from {shown(asked.kind)}"
@@ -122,7 +121,7 @@ async def fitted(lab: CurrentLab, client: CurrentClient, asked: FitRequest) -> d
     impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
     others = [str(lab.whole_log(name)) for name in asked.others]
     given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance)
-    return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given, client=client).to_json()
+    return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given).to_json()
 
 
 def _flown(one: LabDrone, lent: ExitStack, job: Job) -> None:

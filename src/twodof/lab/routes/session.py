@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response, WebSocke
 from starlette.websockets import WebSocketDisconnect
 
 from twodof import __version__
-from twodof.lab.access import WATCHERS_MAY, CurrentClient, Role, lab_router, receive_file, takes
+from twodof.lab.access import CLIENT, WATCHERS_MAY, Role, lab_router, receive_file, takes
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.lab import CurrentLab
 from twodof.lab.log_work import mat_of_rows
@@ -21,14 +21,15 @@ router = lab_router("/api/session", "session")
 
 
 @router.get("")
-async def session(lab: CurrentLab, client: CurrentClient) -> dict[str, Any]:
+async def session(lab: CurrentLab) -> dict[str, Any]:
     """Return this client's role, the server's version, and the path of the link for watching only.
 
     `watch_link` is empty for a client that only watches, and on a server without such a link.
     """
-    token = lab.settings.watch_token if client.role is Role.COMMAND else ""
+    role = CLIENT.get().role
+    token = lab.settings.watch_token if role is Role.COMMAND else ""
     return {
-        "role": client.role,
+        "role": role,
         "version": __version__,
         "watch_link": f"/?token={token}" if token else "",
         "clients": len(lab.audience),
@@ -95,13 +96,14 @@ Columns = Annotated[str, Query(max_length=4096, description="Names of the column
 
 
 @export_router.post("/mat", openapi_extra=_BINARY, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
-async def mat(lab: CurrentLab, client: CurrentClient, request: Request, columns: Columns) -> Response:
+async def mat(lab: CurrentLab, request: Request, columns: Columns) -> Response:
     """Return the rows of a plot as a .mat file with the channels of the drone's own logs.
 
     The body is float64[n] times [s], then float32[n] of each column, little-endian. 422 for any other body.
     """
+    role, address = CLIENT.get()
     with lab.logs.scratch() as folder:
-        async with lab.exports[client.role].turn(client.address):
+        async with lab.exports[role].turn(address):
             path = FilePath(folder) / "rows"
             await receive_file(request, path)
             return await made_file(lab, "plot.mat", mat_of_rows, str(path), columns.split(","))
@@ -111,11 +113,11 @@ telemetry_router = APIRouter(tags=["telemetry"])
 
 
 @telemetry_router.websocket("/api/telemetry")
-async def telemetry(websocket: WebSocket, lab: CurrentLab, client: CurrentClient) -> None:
+async def telemetry(websocket: WebSocket, lab: CurrentLab) -> None:
     """Serve telemetry and events, see docs/reference/lab-routes.md."""
     await websocket.accept()
     try:
-        async with TelemetryClient(websocket, client, lab) as served:
+        async with TelemetryClient(websocket, CLIENT.get(), lab) as served:
             await served.serve()
     except SocketRefused as reason:
         with suppress(RuntimeError, WebSocketDisconnect):
