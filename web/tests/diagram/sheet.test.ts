@@ -1,4 +1,4 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, test } from "vitest";
 import { loopOnSheet, placeOfFinding, seenFrom } from "../../src/pages/diagram/model/blame";
 import { editor } from "../../src/pages/diagram/editor.svelte";
 import { placesOn, staying } from "../../src/pages/diagram/canvas/places";
@@ -306,6 +306,17 @@ describe("a commented block", () => {
       expect(writeDiagram(commentToggled(made, names, how, shapes))).toBe(writeDiagram(d));
     }
   });
+});
+
+test("a commented block reads each field of a bus", () => {
+  const { d } = given();
+  const shapes = new Shapes();
+  for (const key of shapes.unknown(d).keys()) shapes.learn(key, shape(["bus.a", "bus.b"]));
+  const { item } = findPart(commentToggled(d, new Set(["b"]), "out", shapes), "b")!;
+  expect((item as Diagram).connections).toEqual([
+    ["bus.a", "block.bus.a"],
+    ["bus.b", "block.bus.b"],
+  ]);
 });
 
 describe("a new parameter", () => {

@@ -67,7 +67,7 @@ function wrapped(d: Diagram, part: Part, how: Comment, shapes: Shapes): Part {
     return made.name;
   };
   const block = put("block", part.item, part.params);
-  for (const port of tops(inputs)) connections.push([port, `${block}.${port}`]);
+  for (const port of inputs) connections.push([port.name, `${block}.${port.name}`]);
   const left = [...inputs];
   for (const port of outputs) {
     if (port.name.includes(".")) throw new EditFault(`${part.name} gives a bus, which cannot be commented: delete it`);
