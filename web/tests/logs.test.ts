@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
-import { isThinned, nameAndUnit, panels } from "../src/pages/logs/curves";
+import { LineView } from "../src/chart/views.svelte";
+import { isThinned, nameAndUnit, panels, spliced } from "../src/pages/logs/curves";
 import { advance, Replay } from "../src/pages/logs/replay";
 import { float32s, float64s, staircase } from "../src/pages/logs/unpack";
 import { duration, flown, notALog, sentName, size, sparkPath } from "../src/pages/logs/words";
@@ -84,9 +85,32 @@ describe("curves", () => {
     const both = { views: [{ label: "a", curves: [curve("B"), curve("A")] }] };
     expect(panels(both, ["A", "B"])[0]!.series.map((one) => one.colour)).toEqual(["series-2", "series-1"]);
   });
+  it("take the samples of a finer part, and keep their own around it", () => {
+    const line = (x: number[], y: number[]) => ({
+      label: "q",
+      kind: "estimate" as const,
+      x: Float64Array.from(x),
+      y: Float64Array.from(y),
+    });
+    const whole = line([0, 1, 2, 3, 4], [0, 1, 2, 3, 4]);
+    const { x, y } = spliced(whole, line([1, 1.5, 2.5], [9, 8, 7]));
+    expect([...x]).toEqual([0, 1, 1.5, 2.5, 3, 4]);
+    expect([...y]).toEqual([0, 9, 8, 7, 3, 4]);
+    expect(spliced(whole, line([], []))).toBe(whole);
+  });
   it("know their unit", () => {
     expect(nameAndUnit("motors M, T [–]")).toEqual(["motors M, T", ""]);
     expect(nameAndUnit("temperature")).toEqual(["temperature", ""]);
+  });
+});
+
+describe("a view", () => {
+  it("takes eight cursors, and removes the one that is pressed again", () => {
+    const view = new LineView(() => [0, 100]);
+    for (const x of [10, 20, 30, 20.2]) view.pin(x);
+    expect(view.pins).toEqual([10, 30]);
+    for (const x of [40, 50, 60, 70, 80, 90, 95]) view.pin(x);
+    expect(view.pins.length).toBe(8);
   });
 });
 

@@ -128,6 +128,8 @@ def _spark(log: FlightLog) -> dict[str, Any] | None:
 
 
 MOST_POINTS = 4000
+MOST_SIGNALS = 20
+"""Most signals of a plot."""
 MOST_SAID = 2000
 """Most texts, and most changes of parameters, of one log."""
 _Short = Annotated[str, AfterValidator(lambda text: text[:400])]
@@ -169,7 +171,7 @@ def view(
         if topics or (window is not None and not _overlaps(log, window)):
             raise
         found = flight_view(log, [*log][:_FIRST_CHANNELS], window)  # a log of others
-    own = tuple(signals_panel(log, panel.splitlines(), window) for panel in panels)
+    own = tuple(signals_panel(log, panel.splitlines()[:MOST_SIGNALS], window) for panel in panels)
     return _told(replace(found, views=own + found.views), points)
 
 

@@ -134,6 +134,8 @@ def test_own_plots_fold_and_alignment_are_the_librarys(server: Served) -> None:
     assert [curve["label"] for curve in found[0]["curves"]] == ["theta [deg]", "M [–]"]
     shown = unpacked(found[1]["curves"][0]["value"], "<f4")
     assert np.degrees(log["q"].value).max() == pytest.approx(shown.max(), rel=1e-6)
+    many = server.ask("GET", f"/api/logs/a.mcap/view?panel={quote(chr(10).join(900 * ['q']))}").json["views"]
+    assert len(many[0]["curves"]) == 20
     steps = step_responses(log)
     (fold,) = server.ask("GET", "/api/logs/a.mcap/fold").json
     assert fold["statistics"]["overshoot [%]"][0] == len(steps)

@@ -118,7 +118,9 @@ async def view(
     end: Moment = None,
     points: Points = 2000,
     topic: Annotated[list[str] | None, Query(max_length=20, description="Signals; left out: the usual ones.")] = None,
-    panel: Annotated[list[str] | None, Query(max_length=20, description="Own plot: its signals, a line each.")] = None,
+    panel: Annotated[
+        list[str] | None, Query(max_length=20, description="Own plot: its signals, a line each, at most 20.")
+    ] = None,
 ) -> dict[str, Any]:
     """Plot a part of a log: curves thinned to lowest and highest values, modes, failsafe, excitations."""
     path = str(lab.whole_log(name))
