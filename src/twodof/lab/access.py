@@ -161,7 +161,8 @@ class LabRoute(APIRoute):
             except Refused:
                 await _discard(request.receive)
                 raise
-            return await handle(_BoundedRequest(request.scope, _bounded(request.receive, self.most_body)))
+            request.state.body.most = self.most_body
+            return await handle(_BoundedRequest(request.scope, request.receive))
 
         return checked
 
@@ -212,10 +213,12 @@ class Gate:
         with suppress(ClientDisconnect):
             if refusal is not None and scope["type"] == "http":
                 await _discard(receive)
-            if pace is not None and (refusal is not None or not scope["path"].endswith(STOP)):
+            if refusal is None and scope["path"].endswith(STOP):
+                pace = None
+            if pace is not None:
                 await pace.turn(address)
-                receive = _paced(receive, pace, address)
             if scope["type"] == "http":
+                state["body"] = receive = _Body(receive, pace, address)
                 send = _with_headers(send, scope["path"])
             if refusal is None:
                 await self._app(scope, receive, send)
@@ -318,37 +321,25 @@ async def _discard(receive: Receive) -> None:
                     return
 
 
-def _bounded(receive: Receive, most: int) -> Receive:
-    """Return `receive` with a bound on the body, which may come in pieces and without a length."""
-    got = 0
+class _Body:
+    """Body of a request, of at most `most` bytes; once it is whole it waits for another turn, by its size."""
 
-    async def bounded() -> Message:
-        nonlocal got
-        message = await receive()
-        if message["type"] == "http.request":
-            got += len(message.get("body", b""))
-            if got > most:
-                if message.get("more_body", False):
-                    await _discard(receive)
-                raise _too_large(most)
+    def __init__(self, receive: Receive, pace: Pace | None, person: str) -> None:
+        self._receive, self._pace, self._person = receive, pace, person
+        self._size, self.most = 0, MOST_BODY
+
+    async def __call__(self) -> Message:
+        """Return the next message. Raises Refused."""
+        message = await self._receive()
+        self._size += len(message.get("body", b""))
+        more = message.get("more_body", False)
+        if self._size > self.most:  # it may come in pieces and without a length
+            if more:
+                await _discard(self._receive)
+            raise _too_large(self.most)
+        if self._pace is not None and self._size and message["type"] == "http.request" and not more:
+            await self._pace.turn(self._person, self._size)
         return message
-
-    return bounded
-
-
-def _paced(receive: Receive, pace: Pace, person: str) -> Receive:
-    """Return a `receive` that waits for another turn, by its size, once it has a whole body."""
-    size = 0
-
-    async def paced() -> Message:
-        nonlocal size
-        message = await receive()
-        size += len(message.get("body", b""))
-        if size and message["type"] == "http.request" and not message.get("more_body", False):
-            await pace.turn(person, size)
-        return message
-
-    return paced
 
 
 def _with_headers(send: Send, path: str) -> Send:

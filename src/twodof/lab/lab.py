@@ -53,9 +53,12 @@ class LabServer:
         self.exports = {role: Turns(2, MOST_WAITING, "export") for role in Role}
         self._warming: asyncio.Task[None] | None = None
 
-    def whole_log(self, name: str) -> Path:
-        """Return the place of a readable log. Raises NotThere, and Rejected while it is being recorded."""
-        path = self.logs.place(name)
+    def whole_log(self, name: str, ours: bool = False) -> Path:
+        """Return the place of a log; if `ours`, one that may be changed.
+
+        Raises NotThere, and Rejected for a log in another folder, and while it is being recorded.
+        """
+        path = self.logs.ours(name) if ours else self.logs.place(name)
         if name in self.drones.recordings:
             raise Rejected("the log is being recorded", name[:80], "disarm the drone first")
         return path

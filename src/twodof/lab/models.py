@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from twodof.design.pitch_family import PitchFamily
-from twodof.design.robustness import Robustness
 from twodof.design.tuning_preview import GAINS, PitchLaw
 from twodof.errors import DiagramError, LogError, ParameterError, Rejected, TwodofError
 from twodof.flight.templates import ATTITUDE
@@ -206,10 +205,12 @@ def judge(
         "text": "",
         "preview": None,
     }
-    if goal is not None:
-        shown = after.preview(own, goal)
-        return {**told, **_verdict(shown.verdict), "preview": shown.to_json()}
-    return {**told, **_verdict(after.verdict(own))} if told["touches"] else told
+    if goal is None and not told["touches"]:
+        return told
+    shown = None if goal is None else after.preview(own, goal)
+    verdict = after.verdict(own) if shown is None else shown.verdict
+    preview = None if shown is None else shown.to_json()
+    return {**told, "unstable": not verdict.robust, "text": verdict.text, "preview": preview}
 
 
 def predicted_step(
@@ -222,10 +223,6 @@ def predicted_step(
 ) -> dict[str, Any]:
     """Predict the step of theta by `goal` [rad] under the pitch law with `changes`."""
     return PitchLaw.flown({**values, **changes}, diagram, paths).step(PitchFamily.from_json(family), goal)
-
-
-def _verdict(found: Robustness) -> dict[str, Any]:
-    return {"unstable": not found.robust, "text": found.text}
 
 
 SECONDS = 60.0

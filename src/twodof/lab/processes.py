@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event
@@ -254,7 +254,7 @@ class Job:
     error: dict[str, str] | None = None
     bound: bool = False
     client: LabClient | None = None
-    task: asyncio.Task[None] | None = None
+    task: asyncio.Task[None] = field(init=False)
     stop: Event | None = None
     about: str = ""
 
@@ -344,11 +344,6 @@ class Jobs:
         job.task = asyncio.create_task(self._run(job, run))
         return job
 
-    def when_over(self, job: Job, done: Callable[[Job], None]) -> None:
-        """Call `done` with a job once the job is over."""
-        if job.task is not None:
-            job.task.add_done_callback(lambda _: done(job))
-
     async def cancel(self, name: str) -> Job:
         """End a job and its process, unless it is over already. Raises NotThere, Rejected while the job is bound."""
         job = self[name]
@@ -363,7 +358,7 @@ class Jobs:
             await self._end(job)
 
     async def _end(self, job: Job) -> None:
-        if job.task is not None and not job.task.done():
+        if not job.task.done():
             job.task.cancel()
             with suppress(asyncio.CancelledError):
                 await job.task

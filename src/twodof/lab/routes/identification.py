@@ -99,7 +99,7 @@ async def flown(lab: CurrentLab, asked: FlightRequest) -> dict[str, Any]:
     lent.enter_context(one.lend())
     job = lab.jobs.start("flight", fly_experiment, *given, in_real_time=True)
     job.stop = stop
-    lab.jobs.when_over(job, lambda ended: _flown(one, lent, ended))
+    job.task.add_done_callback(lambda _: _flown(one, lent, job))
     return job.to_json()
 
 

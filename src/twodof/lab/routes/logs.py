@@ -6,7 +6,6 @@ Logs are read in a process of their own, each request within a time limit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal, get_args
 
@@ -23,7 +22,6 @@ from twodof.lab.answers import RequestBody, without_folders
 from twodof.lab.folders import KEPT_DAYS, MOST_NOTES, LogName
 from twodof.lab.lab import CurrentLab, LabServer
 from twodof.lab.log_work import summary as log_summary
-from twodof.lab.processes import Answer
 from twodof.report.plots.comparison_view import MOST_FLIGHTS
 
 router = lab_router("/api/logs", "logs")
@@ -31,7 +29,7 @@ MOST_SUMMARIES = 4000
 MOST_UPLOADED = MAX_FILE_BYTES // 2
 CONVERT_S = 90.0
 Name = Annotated[LogName, Path(description="Name of a log in the list.")]
-Moment = Annotated[float | None, Query(description="In the log's time [s]; left out: the whole log.")]
+Moment = Annotated[FiniteFloat | None, Query(description="In the log's time [s]; left out: the whole log.")]
 Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Points of each curve, about.")]
 Format = Literal["mcap", "mat", "parquet", "csv", "ulg"]
 FORMATS: tuple[str, ...] = get_args(Format)
@@ -48,7 +46,7 @@ class LogNotes(RequestBody):
 async def logs(lab: CurrentLab) -> dict[str, Any]:
     """List the logs, the latest first, and the deleted ones, which can be restored for `kept_days`."""
     written = lab.drones.recordings
-    found = await _work(lab, lab.logs.listed)
+    found = await lab.log_bench.do(lab.logs.listed)
     rows = [row | {"recording": row["name"] in written} for row in found]
     return {"logs": rows, "trash": lab.logs.trash.listed(), "kept_days": KEPT_DAYS}
 
@@ -69,7 +67,7 @@ async def compare(
     if len(set(name)) < len(name):
         raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each log once")
     paths = {one: str(lab.whole_log(one)) for one in name}
-    return await _work(lab, log_work.compare, paths, align, _window(begin, end), points, zero or [])
+    return await lab.log_bench.do(log_work.compare, paths, align, _window(begin, end), points, zero or [])
 
 
 @router.get("/{name}")
@@ -83,7 +81,9 @@ async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
     kept = {"notes": lab.logs.notes(name), "ours": path.parent == lab.logs.folder}
     try:
         return (
-            kept | {"unreadable": "", "formats": FORMATS} | await _work(lab, log_work.facts, str(lab.whole_log(name)))
+            kept
+            | {"unreadable": "", "formats": FORMATS}
+            | await lab.log_bench.do(log_work.facts, str(lab.whole_log(name)))
         )
     except LogError as reason:
         return kept | {"unreadable": _in_words(reason), "formats": [path.suffix.lower().removeprefix(".")]}
@@ -102,7 +102,7 @@ async def summary(lab: CurrentLab, name: Name) -> dict[str, Any]:
         found = path.stat()
         key = (str(path), found.st_mtime_ns, found.st_size)
         if key not in lab.summaries:
-            lab.summaries[key] = await _work(lab, log_summary, str(path))
+            lab.summaries[key] = await lab.log_bench.do(log_summary, str(path))
             while len(lab.summaries) > MOST_SUMMARIES:
                 del lab.summaries[next(iter(lab.summaries))]
         return {"unreadable": ""} | lab.summaries[key]
@@ -124,31 +124,31 @@ async def view(
 ) -> dict[str, Any]:
     """Plot a part of a log: curves thinned to lowest and highest values, modes, failsafe, excitations."""
     path = str(lab.whole_log(name))
-    return await _work(lab, log_work.view, path, _window(begin, end), topic or [], points, panel or [])
+    return await lab.log_bench.do(log_work.view, path, _window(begin, end), topic or [], points, panel or [])
 
 
 @router.get("/{name}/signals")
 async def signals(lab: CurrentLab, name: Name) -> list[list[str]]:
     """List the signals that can be plotted, each with description and unit."""
-    return await _work(lab, log_work.signals, str(lab.whole_log(name)))
+    return await lab.log_bench.do(log_work.signals, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/steps")
 async def steps(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Return the steps of set-points with rise, overshoot, settling, peak and largest moment."""
-    return await _work(lab, log_work.steps, str(lab.whole_log(name)))
+    return await lab.log_bench.do(log_work.steps, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/fold")
 async def fold(lab: CurrentLab, name: Name) -> list[dict[str, Any]]:
     """Lay the steps of each loop over each other: responses as a share of the step, their mean and deviation."""
-    return await _work(lab, log_work.fold, str(lab.whole_log(name)))
+    return await lab.log_bench.do(log_work.fold, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/replay")
 async def replay(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Sample the drone's motion at equal times, for the 3-D view."""
-    return await _work(lab, log_work.replay, str(lab.whole_log(name)))
+    return await lab.log_bench.do(log_work.replay, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/file", response_class=Response)
@@ -173,7 +173,7 @@ async def note(lab: CurrentLab, name: Name, notes: LogNotes) -> dict[str, str]:
 @router.post("/{name}/rename")
 async def rename(lab: CurrentLab, name: Name, to: LogName) -> dict[str, str]:
     """Rename a log and its notes, in the same format; return the name, numbered if another log has it."""
-    path = _settled(lab, name)
+    path = lab.whole_log(name, ours=True)
     return {"name": lab.logs.take_in(path, f"{to}{path.suffix}")}
 
 
@@ -186,18 +186,17 @@ async def restore(lab: CurrentLab, entry: Annotated[str, Path(max_length=300)]) 
 @router.post("/{name}/recover")
 async def recover(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Recover the sound parts of a recording that was cut off, as a new log; return its name, and the damage."""
-    path = _settled(lab, name)
+    path = lab.whole_log(name, ours=True)
     with lab.logs.scratch() as folder:
         made = FilePath(folder) / "recovered.mcap"
-        told = await _work(lab, log_work.recovered, str(path), str(made), seconds=CONVERT_S)
+        told = await lab.log_bench.do(log_work.recovered, str(path), str(made), seconds=CONVERT_S)
         return {**told, "name": lab.logs.take_in(made, f"{path.stem}.{made.name}")}
 
 
 @router.delete("/{name}")
 async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Delete a log; for some days `restore` brings it back."""
-    path = _settled(lab, name)
-    return lab.logs.trash.put(path)
+    return lab.logs.trash.put(lab.whole_log(name, ours=True))
 
 
 @router.post("/{name}", openapi_extra=_RAW, dependencies=[takes(MOST_UPLOADED)])
@@ -207,7 +206,7 @@ async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any
     with lab.logs.scratch() as folder:
         path = FilePath(folder) / name
         await receive_file(request, path)
-        found = await _work(lab, log_summary, str(path), seconds=CONVERT_S)
+        found = await lab.log_bench.do(log_summary, str(path), seconds=CONVERT_S)
         return {"name": lab.logs.take_in(path, name), "summary": found}
 
 
@@ -216,20 +215,12 @@ async def made_file(lab: LabServer, name: str, work: Callable[..., object], *arg
     folder = lab.logs.scratch()
     try:
         made = str(FilePath(folder.name) / f"log{FilePath(name).suffix}")
-        await _work(lab, work, *arguments, made, seconds=CONVERT_S)
+        await lab.log_bench.do(work, *arguments, made, seconds=CONVERT_S)
     except BaseException:
         folder.cleanup()
         raise
     media, end = "application/octet-stream", BackgroundTask(folder.cleanup)
     return FileResponse(made, filename=name, media_type=media, background=end)
-
-
-def _settled(lab: LabServer, name: str) -> FilePath:
-    """Return the place of a log that may be changed: of the own folder, not being recorded. Raises as `ours`."""
-    path = lab.logs.ours(name)
-    if path.name in lab.drones.recordings:
-        raise Rejected("the log is being recorded", path.name, "disarm the drone first")
-    return path
 
 
 def _in_words(reason: TwodofError) -> str:
@@ -241,10 +232,4 @@ def _window(begin: float | None, end: float | None) -> tuple[float, float] | Non
         if begin is not None or end is not None:
             raise LogError("one end of the window is missing", "begin, end", "give both, or none")
         return None
-    if not isfinite(begin) or not isfinite(end):
-        raise LogError("the window is not finite", "begin, end", "give seconds")
     return begin, end
-
-
-async def _work(lab: LabServer, work: Callable[..., Answer], *arguments: Any, seconds: float | None = None) -> Answer:
-    return await lab.log_bench.do(work, *arguments, seconds=seconds)
