@@ -99,7 +99,7 @@ class PlacedConnection(asyncio.Protocol):
     it is `idle` and another one needs its place.
     """
 
-    config: uvicorn.Config
+    config: Any  # LabConfig
     loop: asyncio.AbstractEventLoop
     transport: asyncio.Transport
     client: tuple[str, int] | None
@@ -107,6 +107,7 @@ class PlacedConnection(asyncio.Protocol):
     role: Role | None = None
     due = unread_due = inf
     idle = False
+    places = property(lambda self: self.config.places)
     reads = True  # False while earlier data wait for the application
     _gone = False
 
@@ -136,12 +137,6 @@ class PlacedConnection(asyncio.Protocol):
     def _go_on(self) -> None:
         if self.reads and not self.transport.is_closing():
             self.transport.resume_reading()
-
-    @property
-    def places(self) -> Places:
-        """Places of all connections."""
-        assert isinstance(self.config, LabConfig)
-        return self.config.places
 
     @property
     def person(self) -> str:

@@ -164,16 +164,12 @@ async def _against(one: LabDrone, found: ParameterFile) -> dict[str, Any]:
     known = {entry.name: entry for entry in await one.connection.parameters.entries()}
     changes, missing = found.against(known)
     rows = [
-        {"name": name, "before": known[name].value, "value": value, "unit": _unit(known[name])}
+        {"name": name, "before": known[name].value, "value": value, "unit": known[name].to_json()["unit"]}
         for name, value in changes.items()
     ]
     own = one.drone.session.system
     other = {"Vehicle-Id": f"{found.system}, while this drone is {own}"} if found.system not in (0, own) else {}
     return {"changes": rows, "missing": list(missing), "about": {**found.about, **other}}
-
-
-def _unit(entry: ParameterEntry) -> str:
-    return "" if entry.row is None else entry.row.unit
 
 
 tuning_router = lab_router("/api/tuning", "tuning")
