@@ -16,17 +16,11 @@ export class Latency {
     return this.count;
   }
 
-  quantile(share: number): number {
-    const sorted = this.waits.slice(0, Math.min(this.count, KEPT)).sort();
-    return sorted.length ? sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))]! : NaN;
-  }
-
-  /** Return the median of the newest frames [ms]. */
-  recent(count = 50): number {
-    const from = Math.max(0, this.count - count);
-    const waits: number[] = [];
-    for (let k = from; k < this.count; k += 1) waits.push(this.waits[k % KEPT]!);
-    return waits.sort((a, b) => a - b)[waits.length >> 1] ?? NaN;
+  /** Return a quantile of the delays of the `newest` frames [ms]. */
+  quantile(share: number, newest = KEPT): number {
+    const length = Math.min(newest, this.count, KEPT);
+    const waits = Float64Array.from({ length }, (_, k) => this.waits[(this.count - 1 - k) % KEPT]!).sort();
+    return waits[Math.min(length - 1, Math.floor(share * length))] ?? NaN;
   }
 
   clear(): void {

@@ -11,7 +11,11 @@ class OwnPlots {
   fromZero = $state(false);
 
   constructor() {
-    Object.assign(this, JSON.parse(localStorage.getItem(KEPT) ?? "{}"));
+    try {
+      Object.assign(this, JSON.parse(localStorage.getItem(KEPT) ?? "{}"));
+    } catch {
+      // Written by another version, or by hand: it is kept anew.
+    }
   }
 
   change(change: Partial<Pick<OwnPlots, "panels" | "usual" | "fromZero">>): void {

@@ -5,12 +5,20 @@ import { History } from "../../chart/history";
 import { STEP_COLUMNS, StepWatch, type FlownStep } from "../../chart/step_watch";
 import { figure } from "../../chart/numbers";
 import { keepHistory } from "../../state/live_panels.svelte";
-import { scaledStep, type ScaledStep } from "./flown_steps";
 
 const RATE_HZ = 250;
 const LOOK_MS = 300;
 const SHOWN = 4;
 const NAMED = 3;
+/** Smallest step [rad]; below it is mostly noise. */
+const LEAST = 0.035;
+
+/** Response from 0 to the goal; theta [rad]. */
+interface ScaledStep {
+  label: string;
+  time: readonly number[];
+  theta: readonly number[];
+}
 
 /** Steps of theta, named by the gains in which they differ: flown while the page is open, or of the latest log. */
 export class MeasuredSteps {
@@ -49,11 +57,14 @@ export class MeasuredSteps {
 
   scaled(goal: number): ScaledStep[] {
     if (!this.shown) return [];
-    const steps = this.live.filter((step) => step.loop.loop === "theta").slice(-SHOWN);
+    const large = (step: FlownStep): boolean => Math.abs(step.after - step.before) >= LEAST;
+    const steps = this.live.filter((step) => step.loop.loop === "theta" && large(step)).slice(-SHOWN);
     if (steps.length > 0)
-      return steps
-        .map((step) => scaledStep(this.history, step, goal, this.labelOf(step, steps)))
-        .filter((step) => step !== undefined);
+      return steps.map((step) => ({
+        label: this.labelOf(step, steps),
+        time: step.response.since,
+        theta: step.response.share.map((share) => share * goal),
+      }));
     return this.logged.slice(-SHOWN).map((step) => ({
       label: `flown at ${step.at.toFixed(1)} s`,
       time: step.time,
