@@ -1,6 +1,6 @@
 """Fixtures and hooks of all tests: the real flight logs, reproducible hypothesis runs, the tests' order and `--quick`.
 
-Two marks divide the tests. `long` is a test that takes more than 1 s of processor time, in a browser 10 s: `make test`
+Two marks divide the tests. `long` is a test that takes more than 1 s of processor time, or 8 s of time: `make test`
 leaves it out and `make thorough` runs it. `slow` (`pytestmark = pytest.mark.slow`) is a file that takes more than .8 s,
 or opens a browser: `make quick` leaves it out. `python -m tools.slow_tests` says where a mark is missing.
 """
@@ -67,7 +67,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Write each test's processor time into its report, so into `--junitxml` for tools/slow_tests.py."""
     report = yield
-    if report.when != "teardown":
+    if report.when == "teardown":
         report.user_properties.append(("processor_s", round(processor_time() - item.stash[BEGAN], 3)))
     return report
 

@@ -16,8 +16,8 @@ from tests.conftest import PROJECT, SLOW_FILE
 
 LONG_S, SLOW_S = 1.0, 0.8
 """Processor time of a test with the mark `long`, of a file with the mark `slow`."""
-LONG_WEB_S = 10.0
-"""Time of a test with the mark `long` in tests/web; the browser works in processes of its own."""
+LONG_WAIT_S = 8.0
+"""Time of a test with the mark `long`: browsers, servers and drones work in processes of their own."""
 LONG_TEST = re.compile(r"@pytest\.mark\.long\n(?:[ @)\]].*\n)*?\s*(?:async )?def (\w+)")
 
 
@@ -30,8 +30,7 @@ def measured(report: Path) -> dict[Path, dict[str, float]]:
         file = next((path for path in paths if path.is_file()), None)
         if file:
             seconds = sum(float(p.get("value", "0")) for p in case.iter("property") if p.get("name") == "processor_s")
-            if file.parent.name == "web":
-                seconds = float(case.get("time", "0")) * LONG_S / LONG_WEB_S
+            seconds = max(seconds, float(case.get("time", "0")) * LONG_S / LONG_WAIT_S)
             name = case.get("name", "").partition("[")[0]
             found[file][name] = max(seconds, found[file].get(name, 0.0))
     return found

@@ -162,6 +162,7 @@ def assert_rounded(ground: FlightLog, simulated: FlightLog) -> None:
         np.testing.assert_array_equal(ground[name].value, wire, name)
 
 
+@pytest.mark.long
 def test_what_a_flight_is_judged_by_is_the_same(flown: Both) -> None:
     simulated = {check.name: check.passed for check in flown.laboratory.fly(flown.name, SEED).checks}
     judged = {check.name: check.passed for check in flown.flight.checks}

@@ -57,6 +57,7 @@ def read(suffix: str, rounds: int, seed: int, folder: Path) -> list[int]:
     return counts
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_mutants_are_logs_or_log_errors(suffix: str, tmp_path: Path) -> None:
     whole_ones, recovered = read(suffix, 150, 1, tmp_path)

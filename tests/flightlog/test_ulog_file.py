@@ -240,6 +240,7 @@ def test_instances_stay_apart_and_subscriptions_join(tmp_path: Path) -> None:
     assert found["distance_sensor", 1]["current_distance"].tolist() == [7.0] * 40
 
 
+@pytest.mark.long
 def test_a_log_that_ends_in_a_message(tmp_path: Path) -> None:
     whole = px4_log(4)
     path = tmp_path / "a.ulg"
@@ -252,6 +253,7 @@ def test_a_log_that_ends_in_a_message(tmp_path: Path) -> None:
         assert found.lost_bytes == log.provenance.get("lost_bytes", 0)
 
 
+@pytest.mark.long
 def test_rubbish_behind_what_was_acknowledged(tmp_path: Path) -> None:
     path = tmp_path / "a.ulg"
     acknowledged = []

@@ -120,6 +120,7 @@ class TestGuard:
             assert lab.call("PUT", "models/careful", MODEL)[0] == 201
         assert lab.call("PUT", "tuning/1/model", {"model": "careful"})[1]["model"] == "careful"
 
+    @pytest.mark.long
     def test_unstable_gains_need_a_confirmation(self, lab: ServedLab) -> None:
         status, told = lab.call("PATCH", "drones/1/parameters", WILD)
         assert status == 409

@@ -239,6 +239,7 @@ def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page
         expect(block(page, "notch")).to_have_count(parts)
 
 
+@pytest.mark.long
 def test_panels_fold_and_the_stock_controller_flies_beside(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=notch-attitude")))
     page.get_by_role("switch", name="Stock beside").click()
@@ -268,6 +269,7 @@ def test_panels_fold_and_the_stock_controller_flies_beside(server: Served, open_
     expect(page.get_by_role("combobox", name="Search a block to add")).to_be_visible()
 
 
+@pytest.mark.long
 def test_blocks_are_commented_grouped_and_given_parameters(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=notch-attitude")))
     flown = page.locator("section[data-flights]")
@@ -359,6 +361,7 @@ def test_only_a_changed_structure_is_compiled(server: Served, open_page: OpenPag
     assert len(compiled) == 1, "only for the structure"
 
 
+@pytest.mark.long
 def test_actions_on_300_blocks_stay_cheap(server: Served, open_page: OpenPage) -> None:
     """Selecting all touches each block once and measures this computer; other actions cost up to 1.9 times that."""
     figures = _longest_tasks(server, open_page)

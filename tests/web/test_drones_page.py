@@ -13,6 +13,7 @@ from tests.web.lab_server import LabServer
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_a_drone_is_stopped_from_the_list(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(f"{lab_server.link}#/drones", size="tablet")
     card = page.get_by_role("listitem").filter(has=page.get_by_role("link", name=f"Drone {lab_server.drone}"))

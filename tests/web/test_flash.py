@@ -17,6 +17,7 @@ pytestmark = pytest.mark.slow
 LONG_MS = PATIENCE_S * 1000
 
 
+@pytest.mark.long
 @pytest.mark.waits
 def test_a_changed_controller_is_flashed_and_flies(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(f"{lab_server.link}#/diagram")

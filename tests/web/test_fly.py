@@ -89,6 +89,7 @@ def test_the_stop_works_on_every_page(lab_server: LabServer, open_page: OpenPage
     lab_server.until(killed=True, armed=False)
 
 
+@pytest.mark.long
 def test_an_excitation_is_built_and_previewed(lab_server: LabServer, open_page: OpenPage) -> None:
     lab_server.warm()
     page = open_page(lab_server.link)
@@ -160,6 +161,7 @@ def test_the_visible_rows_are_saved_for_matlab(lab_server: LabServer, open_page:
     assert np.abs(log["x_true"].value).max() < 0.01
 
 
+@pytest.mark.long
 def test_it_fits_and_is_accessible(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, three_d=True)
     expect(page.get_by_role("application", name=re.compile("^The drone on its rail"))).to_be_visible()

@@ -24,6 +24,7 @@ GONE = ("WebSocket", "ERR_", "502", "504")
 REFUSED = ("409",)
 
 
+@pytest.mark.long
 def test_the_page_survives_a_server_restart(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=GONE)
     flying(page)
@@ -46,6 +47,7 @@ def test_the_page_survives_a_server_restart(lab_server: LabServer, open_page: Op
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.03)
 
 
+@pytest.mark.long
 def test_the_page_survives_a_lost_link(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=GONE)
     flying(page)
@@ -99,6 +101,7 @@ def test_the_failsafe_reports_its_reason(lab_server: LabServer, open_page: OpenP
     expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_hidden()
 
 
+@pytest.mark.long
 def test_a_stopped_drone_is_armed_again(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=REFUSED)
     armed(page)
@@ -199,6 +202,7 @@ def recorded_without_a_gap(lab_server: LabServer, name: str) -> float:
     return float(times[-1] - times[0])
 
 
+@pytest.mark.long
 def test_a_frozen_page_loses_command(lab_server: LabServer, open_page: OpenPage) -> None:
     page, watching = open_page(lab_server.link, own=True), open_page(lab_server.watch_link, own=True)
     flying(page)

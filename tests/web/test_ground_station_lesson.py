@@ -15,6 +15,7 @@ pytestmark = pytest.mark.slow
 PROJECT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.long
 def test_the_lesson_can_be_followed(lab_server: LabServer, open_page: OpenPage) -> None:
     """Each click and text of the lesson exists on the page, and so does each of its pictures."""
     lab_server.warm()

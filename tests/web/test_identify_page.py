@@ -46,6 +46,7 @@ def fitted(page: Page) -> None:
     expect(page.get_by_text("(95 % intervals)")).to_be_visible(timeout=LONG_MS)
 
 
+@pytest.mark.long
 def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?log=2026-01-01-10-00-00-doublet.mcap"))
     expect(page.get_by_label("Poles from the impulse in")).to_have_value("2026-01-01-10-00-00-impulse.mcap")
@@ -102,6 +103,7 @@ def test_a_refusal_appears_beside_the_button(lab: ServedLab, open_page: OpenPage
     expect(page.get_by_role("alert").filter(has_text="holds no excitation")).to_be_visible(timeout=LONG_MS)
 
 
+@pytest.mark.long
 def test_it_fits_and_can_be_read(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?log=2026-01-01-10-00-00-impulse.mcap&experiment=impulse"))
     fitted(page)

@@ -54,6 +54,7 @@ def opened(page: Page) -> None:
     expect(page.get_by_role("button", name="Play")).to_be_enabled()
 
 
+@pytest.mark.long
 def test_every_view_is_accessible(logs_server: Served, open_page: OpenPage) -> None:
     page = open_page(link(logs_server))
     expect(page.get_by_role("img", name="estimated pitch")).to_have_count(2)

@@ -107,6 +107,7 @@ def written_blocks(text: str) -> dict[str, Any]:
     return {part["name"]: part["block"] for part in json.loads(text)["diagram"]["parts"]}
 
 
+@pytest.mark.long
 def test_the_diagram_page_flies_the_native_bits(tmp_path: Path) -> None:
     given = []
     for name, changes in CASES.items():
@@ -146,6 +147,7 @@ def _inputs(ticks: int, per_step: int) -> dict[str, np.ndarray]:
     return {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
 
 
+@pytest.mark.long
 def test_play_flies_the_native_bits(tmp_path: Path) -> None:
     toolchains.need("cc")
     module, data = play_program()
@@ -243,6 +245,7 @@ def _flight(seed: int, loop: str) -> dict[str, Any]:
     }
 
 
+@pytest.mark.long
 def test_step_figures_equal_those_of_python(tmp_path: Path) -> None:
     cases = [_flight(seed, loop) for seed in range(3) for loop in FOLLOWING]
     assert sum(len(one["found"]) for one in cases) > 20  # there is something to compare

@@ -57,6 +57,7 @@ def latest(page: Page, column: str) -> float:
     return value
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("size", "theme"), [("wide", "light"), ("tablet", "dark")])
 def test_it_opens_from_its_folder_and_flies(link: str, open_page: OpenPage, size: str, theme: Theme) -> None:
     page = open_page(link, size, theme, three_d=size == "wide")

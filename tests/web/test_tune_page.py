@@ -109,6 +109,7 @@ def test_a_search_is_kept_in_the_link(lab: ServedLab, open_page: OpenPage) -> No
     expect(field(page, "SAFE_RAIL_MARG")).to_be_visible()
 
 
+@pytest.mark.long
 def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab), expects=("409",))
     page.get_by_label("Model", exact=True).select_option("careful")
@@ -153,6 +154,7 @@ def fly_step(page: Page, label: str) -> None:
     raise AssertionError(f"no curve {label}")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("by", ["keys", "mouse"])
 def test_a_gain_is_moved_flown_and_kept(by: str, lab_server: LabServer, open_page: OpenPage) -> None:
     lab_server.call("PUT", "models/careful", MODEL)
@@ -224,6 +226,7 @@ def test_a_snapshot_is_compared_and_restored(lab: ServedLab, open_page: OpenPage
     picture(page, "tune-snapshots")
 
 
+@pytest.mark.long
 def test_it_fits_and_can_be_read(lab: ServedLab, open_page: OpenPage) -> None:
     assert lab.call("PUT", "tuning/1/model", {"model": "careful"})[0] == 200
     page = open_page(link(lab))

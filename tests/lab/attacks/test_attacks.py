@@ -116,6 +116,7 @@ TRIES = 3
 NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.soak) for name in ATTACKS]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_kills_get_through_and_the_commander_flies(flown: Flown, name: str) -> None:
     with attacked(flown, name):

@@ -99,6 +99,7 @@ def test_a_flight_that_records_itself_is_not_recorded_again(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("room", [0, 2000])
 def test_a_full_disk_is_said_once(room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Recording is tried again, with `room` for a file's beginning or without, and leaves nothing behind."""
