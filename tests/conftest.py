@@ -1,6 +1,6 @@
 """Fixtures and hooks of all tests: the real flight logs, reproducible hypothesis runs, the tests' order and `--quick`.
 
-Two marks divide the tests. `long` is a test that takes more than 1 s of processor time, or 8 s of time: `make test`
+Two marks divide the tests. `long` is a test that takes more than 1 s of processor time, or 5 s of time: `make test`
 leaves it out and `make thorough` runs it. `slow` (`pytestmark = pytest.mark.slow`) is a file that takes more than .8 s,
 or opens a browser: `make quick` leaves it out. `python -m tools.slow_tests` says where a mark is missing.
 """

@@ -209,6 +209,7 @@ def test_the_code_of_a_page_on_design_runs(name: str, tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["recipes", "check-a-diagram", "bring-your-own-rig"])
 def test_each_recipe_prints_what_the_page_says(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (PROJECT / "docs" / "how-to" / f"{name}.md").read_text()

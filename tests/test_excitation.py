@@ -182,6 +182,7 @@ def test_multisine_has_its_lines_and_no_other() -> None:
     np.testing.assert_array_equal(value[:500], value[500:1000])
 
 
+@pytest.mark.long
 def test_schroeders_phases_lower_the_crest() -> None:
     harmonics = tuple(range(1, 32))
     flat = Multisine.schroeder(0.5, 10.0, harmonics)

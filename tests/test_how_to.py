@@ -28,6 +28,7 @@ def test_a_telemetry_signal_is_five_files(tmp_path: Path) -> None:
     assert "estimate.bias" in (root / "docs" / "reference" / "topics.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_a_sensor_with_its_own_rate_is_six_files(tmp_path: Path) -> None:
     root = copied(tmp_path)
     assert len(carry_out("add-a-sensor.md", root)) == 6

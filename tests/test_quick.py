@@ -5,10 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 from tests.conftest import PROJECT
 from tests.patience import PATIENCE_S
 
 
+@pytest.mark.long
 def test_quick_leaves_out_slow_files_only() -> None:
     command = [sys.executable, "-m", "pytest", "--quick", "--collect-only", "-q", "-p", "no:cacheprovider"]
     options = {"cwd": PROJECT, "capture_output": True, "text": True, "check": False, "timeout": PATIENCE_S}

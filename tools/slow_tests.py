@@ -16,7 +16,7 @@ from tests.conftest import PROJECT, SLOW_FILE
 
 LONG_S, SLOW_S = 1.0, 0.8
 """Processor time of a test with the mark `long`, of a file with the mark `slow`."""
-LONG_WAIT_S = 8.0
+LONG_WAIT_S = 5.0
 """Time of a test with the mark `long`: browsers, servers and drones work in processes of their own."""
 LONG_TEST = re.compile(r"@pytest\.mark\.long\n(?:[ @)\]].*\n)*?\s*(?:async )?def (\w+)")
 

@@ -21,6 +21,7 @@ from twodof.rig.parameters import lab
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("precision", closed_loop.PRECISIONS)
 def test_the_hand_written_loop_computes_what_the_compiled_one_does(precision: str) -> None:
     gap, where = closed_loop.difference(precision)
@@ -98,6 +99,7 @@ def test_the_large_diagram_has_as_many_blocks_as_asked_for() -> None:
     assert len(start_up.large_diagram(900).parts) == 900
 
 
+@pytest.mark.long
 def test_a_benchmark_runs_and_writes_its_results(tmp_path: Path) -> None:
     assert main(["greybox", "--quick", "--out", str(tmp_path)]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["greybox.json"]

@@ -82,6 +82,7 @@ def test_what_cannot_be_drawn_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_a_simulated_flight_is_drawn_at_once(tmp_path: Path) -> None:
     out = tmp_path / "flight.html"
     assert run(["simulate", "attitude-steps", "--plot", str(out)]) == 0

@@ -51,6 +51,7 @@ def test_a_mistake_is_told_and_nothing_is_written(
     assert not out.exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", [["px4", "export"], ["flash", "--to", "px4-dir", "--out"]])
 def test_a_name_too_long_is_one_error(command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(tmp_path / ("a" * 300))

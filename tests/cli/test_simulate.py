@@ -140,6 +140,7 @@ def test_thrust_sags_with_the_charge(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert rates[1] / rates[0] == pytest.approx(supply, rel=0.06)
 
 
+@pytest.mark.long
 def test_the_charge_is_estimated_from_the_flight(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
     log = str(flight_data / "position-sweep-default.mat")
     assert run(["simulate", "--like", log, "--charge", "estimate", "--json"]) == 0

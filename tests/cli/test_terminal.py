@@ -142,6 +142,7 @@ def test_replaced_remedies_stand_in_the_package() -> None:
     assert [call for call in IN_SHELL if not any(call in text for text in texts if text != own)] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "command",
     [

@@ -114,6 +114,7 @@ def test_once_prints_the_state_without_a_lease(capsys: pytest.CaptureFixture[str
         pilot.arm()  # it still commands
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", [["--json"], []])
 def test_it_ends_when_its_reader_leaves(form: list[str]) -> None:
     with ExitStack() as stack:

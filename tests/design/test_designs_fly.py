@@ -55,6 +55,7 @@ def step(flight: Flight, name: str) -> np.ndarray:
     return np.asarray(np.mean([one[name] for _, one in promised().steps_of(flight.log)], axis=0))
 
 
+@pytest.mark.long
 def test_placed_poles_keep_their_promise() -> None:
     assert promised().robust
     flight = flown(0.4, noise=1.0)
@@ -62,6 +63,7 @@ def test_placed_poles_keep_their_promise() -> None:
     assert promised().verdict_of(flight.log).stands
 
 
+@pytest.mark.long
 def test_schedule_keeps_the_response_at_another_thrust() -> None:
     """At half as much thrust again mu is 1.16 times as large: the pitch stays where it was, M is less by that."""
     ratio = gain_ratio(HIGH, float(paper()["curve"]))

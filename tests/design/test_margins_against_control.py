@@ -96,6 +96,7 @@ def test_at_the_gain_margin_stability_ends(seed: int) -> None:
             assert inside < 0.0 < beyond
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loop", ["motors", "rate", "attitude"])
 def test_python_controls_margin_of_a_cascade_loop_is_ours(loop: str) -> None:
     """A state space of 51 states gives .346 and -49 deg for the rate loop: its polynomials lose all digits."""
@@ -104,6 +105,7 @@ def test_python_controls_margin_of_a_cascade_loop_is_ours(loop: str) -> None:
     assert (factor, degrees) == pytest.approx((ours.gain_margin, ours.phase_margin_deg), rel=1e-6)
 
 
+@pytest.mark.long
 def test_a_system_of_python_control_comes_back() -> None:
     """In both directions, with names and sample time; a continuous loop with a delay goes by its response."""
     system = control.ss([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], 0.5, 0.01, inputs=["M"], outputs=["q"])

@@ -97,6 +97,7 @@ def test_interval_of_a_figure_that_cannot_be_less() -> None:
     assert np.mean(fresh > high) == pytest.approx(0.025, abs=0.0075)
 
 
+@pytest.mark.long
 def test_promise_holds_for_other_members() -> None:
     """Members and disturbances that were not drawn for the promise: 95 % keep it, up to chance."""
     made = promise(STOCK, FAMILY, members=800, seed=1)

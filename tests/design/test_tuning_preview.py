@@ -35,6 +35,7 @@ def previewed(gains: Gains) -> TuningPreview:
     return tuning_preview(FAMILY, gains, members=100)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gains", [STUDENT, DEFAULT])
 def test_loops_are_those_of_the_closed_forms(gains: Gains) -> None:
     """Crossover and phase margin against the frequency responses of `CascadeLoops`, one loop within the other."""
@@ -88,6 +89,7 @@ def test_too_large_gains_are_reported() -> None:
     assert json.loads(text)["figures"]["settling_time"]["middle"] is None
 
 
+@pytest.mark.long
 def test_it_can_be_ended_at_any_share() -> None:
     class Enough(Exception):
         pass

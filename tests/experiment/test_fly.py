@@ -182,6 +182,7 @@ def by_truth(log: FlightLog, plan: Script, rings: bool) -> dict[str, str]:
     return seen if rings else seen | {"rail free": f"{x:.3f} m, true"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spoilt", ["place by one ulp", "arming one tick late", "excitation one tick late", "seed"])
 def test_a_difference_of_one_ulp_or_one_tick_is_seen(lab: Lab, spoilt: str) -> None:
     """The comparison itself: each of these makes another flight, and it says so."""
@@ -394,6 +395,7 @@ def fly_until_killed(folder: Path, flights: list[Flight]) -> None:
             drone.close()
 
 
+@pytest.mark.long
 def test_a_kill_by_somebody_else_ends_the_flight() -> None:
     with drone_thread() as url, Drone.connect(url) as drone, Drone.connect(url, system=251, take_lease=False) as other:
         killed: list[float] = []
@@ -411,6 +413,7 @@ def test_a_kill_by_somebody_else_ends_the_flight() -> None:
         assert thrust[-1] == 0.0
 
 
+@pytest.mark.long
 def test_ctrl_c_disarms_and_hands_over_what_was_flown() -> None:
     kept: list[Flight] = []
 

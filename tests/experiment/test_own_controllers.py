@@ -101,6 +101,7 @@ def test_a_controller_that_drives_into_the_stop_is_data_too() -> None:
     assert flight.x_start == 0.0
 
 
+@pytest.mark.long
 def test_controllers_by_name_file_and_diagram_fly_the_same_bits(tmp_path: Path) -> None:
     new_diagram("lqr-attitude", tmp_path / "mine.json")
     logs = [

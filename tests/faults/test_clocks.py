@@ -44,6 +44,7 @@ async def signed(whole: Whole, key: Key, clock: Clock, system: int = 250) -> Asy
         return await AsyncDrone.over(await whole.open(), timeout=5.0, system=system)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "jump",
     [

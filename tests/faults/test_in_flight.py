@@ -118,6 +118,7 @@ async def test_a_controller_of_ones_own_that_gives_no_number_never_reaches_a_mot
         await drone.close()
 
 
+@pytest.mark.long
 @on_virtual_time
 async def test_a_controller_in_its_sandbox_that_overruns_is_replaced_in_its_tick() -> None:
     async with Whole(controllers=[exhausting(FAILS_AT)], fuel=15_000) as whole:

@@ -86,6 +86,7 @@ async def commands(link: Transport, *signing: object) -> None:
         await asyncio.sleep(0.004)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("companion_has_key", [False, True])
 @on_virtual_time
 async def test_a_command_that_is_not_signed_is_refused_and_counted(companion_has_key: bool) -> None:

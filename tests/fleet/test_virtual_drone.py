@@ -53,6 +53,7 @@ def test_several_drones_are_recorded_in_one_script(tmp_path: Path) -> None:
             asyncio.run(AsyncDrone.connect(url, timeout=1.0))
 
 
+@pytest.mark.long
 def test_what_keeps_a_drone_from_starting_is_told() -> None:
     with pytest.raises(LinkError, match=r"nowhere\.json"), virtual_drone("nowhere.json"):
         pytest.fail("it came up")

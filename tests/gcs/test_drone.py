@@ -104,6 +104,7 @@ def test_parameters_are_a_mapping(there: OnBoard) -> None:
         assert "drone 1" in repr(drone.parameters)
 
 
+@pytest.mark.long
 def test_a_recording_is_the_drones_own_log(there: OnBoard, tmp_path: Path) -> None:
     """Channel for channel: the stamps of the on-board log, its values rounded to float32, no sample missing."""
     file = tmp_path / "flight.mcap"

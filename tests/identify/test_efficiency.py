@@ -63,6 +63,7 @@ CASES: dict[str, tuple[Structure, Array, Mapping[str, float], Mapping[str, float
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "repetitions"),
     [*EACH_DAY.items(), *(pytest.param(case, LONG, marks=pytest.mark.soak) for case in CASES)],

@@ -39,6 +39,7 @@ def test_both_methods_find_the_rig(doublet: IdentifiedFlight) -> None:
     assert rows["mu"]["text"] == "gain from normalised moment to angular acceleration"
 
 
+@pytest.mark.long
 def test_the_view_is_json_and_its_curves_agree(doublet: IdentifiedFlight) -> None:
     view = json.loads(json.dumps(doublet.view(), allow_nan=False))
     (q,) = view["outputs"]

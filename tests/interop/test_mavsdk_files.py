@@ -56,6 +56,7 @@ def test_it_sends_a_diagram_and_removes_it(saw: dict[str, list[Any]]) -> None:
     assert ["FILE_DOES_NOT_EXIST" in one["why"] for one in saw["refused"]] == [True, True]
 
 
+@pytest.mark.long
 def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any]]) -> None:
     found = {update["type"]: update["text"].encode() for update in saw["metadata"]}
     files = metadata_files(ParameterStore().rows)

@@ -182,6 +182,7 @@ async def test_it_connects_and_finds_all_it_needs(fcu_url: str) -> None:
         assert {name for name in qgc.seen if name.startswith("TWODOF")} == set()
 
 
+@pytest.mark.long
 @in_loop
 async def test_a_cache_with_the_same_hash_stops_the_list(fcu_url: str) -> None:
     """QGroundControl waits for the hash of the list; a list takes an eighth of a second, and who stands still is late.

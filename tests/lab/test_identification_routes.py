@@ -80,6 +80,7 @@ def test_steps_that_were_flown_are_laid_over_a_prediction(lab: ServedLab) -> Non
         assert step["theta"][-1] == pytest.approx(0.1, abs=0.02), "up or down, each is scaled to the goal"
 
 
+@pytest.mark.long
 def test_a_flight_is_stopped_and_what_was_flown_is_kept(lab: ServedLab) -> None:
     started = lab.call("POST", "identification/fly", {"experiment": {"name": "doublet", "hold": 600.0}, "drone": 1})
     job = started[1]["id"]

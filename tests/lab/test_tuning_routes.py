@@ -189,6 +189,7 @@ class TestGuard:
         assert watcher.call("DELETE", "models/careful")[0] == 403
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["..%2Fup", "a%2Fb", ".chosen"])
 def test_a_models_name_stays_in_its_folder(lab: ServedLab, name: str) -> None:
     assert lab.call("PUT", f"models/{name}", MODEL)[0] in (404, 405, 422)

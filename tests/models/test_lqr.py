@@ -47,6 +47,7 @@ def cost(plant: DelayedStateSpace, largest: Sequence[float], gains: LqrGains) ->
 RIGID = DelayedStateSpace.of([[0.0]], [PAPER_PITCH_RATE.mu], [[1.0]], [[0.0]], PAPER_PITCH_RATE.tau)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("best", "plant", "largest"),
     [

@@ -78,6 +78,7 @@ def test_without_noise_it_finds_all_three_numbers() -> None:
     assert found["a0"][-1] == pytest.approx(3.437**2, rel=0.15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("applied", [PRBS, doublet(1000, 1.0, 0.6, 0.03)], ids=["prbs", "doublet"])
 def test_its_sigma_covers_the_truth_and_the_batch_fit(applied: np.ndarray) -> None:
     off, beside = [], []

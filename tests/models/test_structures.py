@@ -151,6 +151,7 @@ def test_free_response_without_friction_is_that_of_an_accurate_integrator() -> N
     np.testing.assert_allclose(ours["q"], exact[1], rtol=0, atol=5e-8)
 
 
+@pytest.mark.long
 def test_dry_friction_takes_its_work_from_every_swing_and_holds_in_the_end() -> None:
     # From one turn to the next the spring's energy falls by friction times the way: w^2 (cos B - cos A) = c (A + B).
     w_n, c = 3.0, 0.09

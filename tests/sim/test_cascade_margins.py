@@ -123,6 +123,7 @@ def test_in_parts_and_at_once_the_linearisation_is_the_same() -> None:
     np.testing.assert_allclose(parts.response(omega), whole.response(omega), rtol=1e-8)
 
 
+@pytest.mark.long
 def test_the_rate_loop_on_the_papers_rig_is_the_formulas() -> None:
     """The PID's z-transform times the exactly held plant, whose samples of q are .4 ms old: to the accuracy of RK4."""
     kp, ki, kd = RATES[30]
@@ -139,6 +140,7 @@ def test_the_rate_loop_on_the_papers_rig_is_the_formulas() -> None:
     )
 
 
+@pytest.mark.long
 def test_the_stock_cascade_as_a_diagram_has_the_stock_margins() -> None:
     own = [starter("pid-attitude"), starter("pid-position"), starter("stock-motor")]
     for name in LOOPS:
@@ -186,6 +188,7 @@ def test_a_rig_from_a_model_has_the_models_figures(tmp_path: Any) -> None:
     assert load_rig_or_model("lab") == dict(load_rig("lab").snapshot())
 
 
+@pytest.mark.long
 def test_bad_input_is_refused_with_the_remedy(tmp_path: Any) -> None:
     with pytest.raises(DiagramError, match="there is no loop 'yaw'"):
         cascade_loop("yaw")

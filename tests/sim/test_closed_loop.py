@@ -172,6 +172,7 @@ def test_what_cannot_be_is_refused(loop: ClosedLoop) -> None:
         ClosedLoop(position_filter="magic")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("filter_", "precision"), [("joint", "float64"), ("joint", "float32"), ("drone", "float32")])
 def test_the_interpreter_flies_the_same_bits(filter_: str, precision: str) -> None:
     diagram = closed_loop(position_filter=filter_)

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from twodof.flight.estimator import COVARIANCE, PAIRS, STATES
@@ -30,6 +31,7 @@ SIGMA = {
 }
 
 
+@pytest.mark.long
 def test_the_error_on_the_rig_is_as_large_as_the_covariance_says() -> None:
     log = tuple(f"{FILTER}.{name}" for name in ("bias", "x", "v", *COVARIANCE))
     # What no covariance can know is left out: scales, the IMU's place, a stamp that hides the sample's age.

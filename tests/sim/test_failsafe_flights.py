@@ -82,6 +82,7 @@ def test_where_nothing_fails_every_signal_has_the_bits_of_the_flight_without(
     assert_same_bits(*both(rig, precision, name))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "starters", [("lqr-attitude",), ("pid-attitude", "pid-position"), ("direct-motor",), ("notch-attitude",)]
 )

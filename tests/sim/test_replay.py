@@ -107,6 +107,7 @@ def without(log: FlightLog, name: str, samples: list[int]) -> FlightLog:
     return FlightLog(log.channels | {name: cut})
 
 
+@pytest.mark.long
 def test_a_flight_of_our_own_is_given_back_exactly() -> None:
     result = replay(made_up(1, interpreted=True), WEAK)
     # Nothing was rounded to float32: what is left is the order of sums and the tangent that undoes the projection.

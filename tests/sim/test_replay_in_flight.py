@@ -38,6 +38,7 @@ def tuned_flight(drone: Drone) -> None:
     drone.disarm()
 
 
+@pytest.mark.long
 def test_a_recording_keeps_changes_of_gains_in_flight(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "tuned.mcap"
     with on_board(lockstep=True) as there, Drone.connect(there.url) as drone:

@@ -103,6 +103,7 @@ def took(page: Page) -> float:
     return float(page.locator("section[data-took]").get_attribute("data-took") or "nan")
 
 
+@pytest.mark.long
 def test_a_starter_is_drawn_and_simulated(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=notch-attitude")))
     expect(block(page, "notch")).to_be_visible()
@@ -167,6 +168,7 @@ def test_no_block_of_a_starter_covers_anything(server: Served, open_page: OpenPa
     assert page.evaluate(COVERED) == []
 
 
+@pytest.mark.long
 def test_blocks_are_inserted_wired_flipped_and_aligned(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
     said = hearing(page)
@@ -209,6 +211,7 @@ def test_blocks_are_inserted_wired_flipped_and_aligned(server: Served, open_page
     said("^align: left edges$")
 
 
+@pytest.mark.long
 def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page: OpenPage) -> None:
     text = to_json(starter("pid-attitude"))
     keep(server, "moved", text)

@@ -26,6 +26,7 @@ def typed(field: Locator, text: str) -> None:
     field.press("Enter", timeout=PRESSED_MS)
 
 
+@pytest.mark.long
 def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     armed(page)
@@ -70,6 +71,7 @@ def test_pitch_is_typed_in_degrees(lab_server: LabServer, open_page: OpenPage) -
     reaches(page, "Pitch θ", 0.0, 1.5)
 
 
+@pytest.mark.long
 def test_the_stop_works_on_every_page(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     armed(page)

@@ -62,6 +62,7 @@ def test_the_page_survives_a_lost_link(lab_server: LabServer, open_page: OpenPag
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
 
 
+@pytest.mark.long
 def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=REFUSED)
     with Drone.connect(lab_server.url):
@@ -86,6 +87,7 @@ def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPa
         lab_server.until(killed=True)
 
 
+@pytest.mark.long
 def test_the_failsafe_reports_its_reason(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     armed(page)
@@ -118,6 +120,7 @@ def test_a_stopped_drone_is_armed_again(lab_server: LabServer, open_page: OpenPa
     armed(page)
 
 
+@pytest.mark.long
 def test_an_offline_stop_is_sent_when_the_link_is_back(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=GONE, own=True)
     armed(page)

@@ -75,6 +75,7 @@ def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) 
     expect(page.get_by_label("Model", exact=True)).to_have_value("from the page")
 
 
+@pytest.mark.long
 def test_the_drone_flies_what_was_previewed(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?experiment=velocity-doublet"))
     page.get_by_role("button", name="Preview the accuracy").click()

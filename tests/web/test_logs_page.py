@@ -68,6 +68,7 @@ def test_every_view_is_accessible(logs_server: Served, open_page: OpenPage) -> N
     readable(page, "logs-compared")
 
 
+@pytest.mark.long
 def test_a_replay_shows_where_the_drone_was(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     log = read_log(flights / "flights" / FIRST)
     page = open_page(link(logs_server, f"/{FIRST}?at=20.40"), three_d=True)
@@ -126,6 +127,7 @@ def test_compared_flights_show_their_steps(logs_server: Served, flights: Path, o
     expect(page.get_by_text("position x").first).to_be_visible()
 
 
+@pytest.mark.long
 def test_own_plots_cursors_and_folded_steps(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     log = read_log(flights / "flights" / FIRST)
     page = open_page(link(logs_server, f"/{FIRST}?at=12.00"))

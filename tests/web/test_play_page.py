@@ -80,6 +80,7 @@ def test_it_opens_from_its_folder_and_flies(link: str, open_page: OpenPage, size
     picture(page, f"play-{size}-{theme}")
 
 
+@pytest.mark.long
 def test_the_same_seed_flies_the_same_bits_again(link: str, open_page: OpenPage) -> None:
     page = open_page(f"{link}#seed=7&rings=0&mode=position")
     expect(page.get_by_text("Flying.")).to_be_visible()
@@ -109,6 +110,7 @@ def test_a_gain_is_kept_in_the_link(link: str, open_page: OpenPage) -> None:
     expect(again.get_by_label(re.compile(r"^Attitude Kp \["))).to_have_value("4")
 
 
+@pytest.mark.long
 def test_a_cut_link_is_what_the_failsafe_says(link: str, open_page: OpenPage) -> None:
     page = open_page(f"{link}#rings=0&mode=position")
     expect(page.get_by_text("Flying.")).to_be_visible()

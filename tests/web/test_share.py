@@ -13,6 +13,7 @@ from tests.web.lab_server import LabServer
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_the_shared_link_only_watches(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(f"{lab_server.link}#/tune?drone={lab_server.drone}")
     page.get_by_role("button", name="Share").click()

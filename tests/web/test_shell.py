@@ -23,6 +23,7 @@ def files_only(built_page: Path) -> Iterator[str]:
         yield link
 
 
+@pytest.mark.long
 def test_the_frame_reports_a_missing_server(files_only: str, open_page: OpenPage) -> None:
     page = open_page(files_only, expects=NO_SERVER)
     expect(page.get_by_text("No server")).to_be_visible()

@@ -58,6 +58,7 @@ def on_board(lab: ServedLab, name: str) -> float:
     return float(next(row["value"] for row in rows if row["name"] == name))
 
 
+@pytest.mark.long
 def test_edits_are_sent_together_and_undone(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab))
     expect(page.get_by_text("0 to 0.12 s/rad, default 0.0854")).to_be_visible()

@@ -13,6 +13,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     not (ROOT / "web" / "node_modules" / "installed-lock.json").is_file(),
     reason="the page's packages are not installed: run make web",

@@ -139,6 +139,7 @@ def test_equal_diagrams_give_equal_c() -> None:
     assert len({emit_program(d, 0.01).source for d in made}) == 1
 
 
+@pytest.mark.long
 def test_pieces_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pieces, "LONGEST", 12)
     monkeypatch.setattr(pieces, "LONGEST_SETUP", 6)
@@ -157,6 +158,7 @@ SLOTS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("compiler", "precision"), SLOTS)
 def test_strict_compilers_do_not_complain(compiler: str, precision: str, tmp_path: Path) -> None:
     cases = differential.random_cases(range(300, 303), 1)

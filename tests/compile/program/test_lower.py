@@ -178,6 +178,7 @@ def test_unneeded_signals_are_not_computed() -> None:
     assert {s.path for g in flat.tick for a in g.actions for s in a.signals} == {"used.y", "second.y"}
 
 
+@pytest.mark.long
 def test_thousands_of_blocks_can_stand_in_a_row() -> None:
     d = Diagram("deep")
     d.input("u")

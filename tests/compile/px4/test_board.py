@@ -43,6 +43,7 @@ def test_a_random_diagram_fits_its_stack(seed: int, tmp_path: Path) -> None:
     compile_for_the_board(random_cases([seed], 1)[0].diagram, tmp_path)
 
 
+@pytest.mark.long
 def test_a_large_diagram_fits_its_stack(tmp_path: Path) -> None:
     compile_for_the_board(chain(190), tmp_path)
 

@@ -60,6 +60,7 @@ def test_it_does_not_start_while_armed_and_leaves_the_flight_to_who_commands(bui
     assert asked(events) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rates", [True, False], ids=["that it would control", "that is another's"])
 def test_a_start_in_a_flight_that_nobody_controls_disarms(built: Bench, rates: bool) -> None:
     built.fresh()
@@ -218,6 +219,7 @@ def test_an_attitude_that_stays_away_is_told_and_px4_is_asked_to_disarm(bench: B
     assert set(events.topic("twodof_pitch")["faults"][-100:]) == {STALE}
 
 
+@pytest.mark.long
 def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(
     benches: Callable[[str], Bench],
 ) -> None:
@@ -231,6 +233,7 @@ def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(
     assert asked(events) == []
 
 
+@pytest.mark.long
 def test_a_position_module_leaves_the_attitude_set_point_to_the_others_when_it_ends(
     benches: Callable[[str], Bench],
 ) -> None:

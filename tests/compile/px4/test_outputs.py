@@ -91,6 +91,7 @@ def test_without_a_valid_position_there_is_no_thrust(benches: Callable[[str], Be
     assert np.array_equal(events.topic("vehicle_attitude_setpoint")["q_d"][3:, 2], np.zeros(3))
 
 
+@pytest.mark.long
 def test_position_and_attitude_in_one_module(benches: Callable[[str], Bench]) -> None:
     bench = benches("both")
     bench.command("start")
@@ -114,6 +115,7 @@ def test_position_and_attitude_in_one_module(benches: Callable[[str], Bench]) ->
     assert set(rows["faults"]) == {0}
 
 
+@pytest.mark.long
 def test_a_motor_module_commands_the_four_motors_and_stops_them_by_nan(
     benches: Callable[[str], Bench],
 ) -> None:

@@ -75,6 +75,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
         assert answer(target.load(SOURCE, compilers.find_compiler())) == 42
 
 
+@pytest.mark.long
 def test_processes_that_build_the_same_at_once_all_get_it(cache: Path) -> None:
     code = (
         "from twodof.compile.native import load\n"

@@ -28,6 +28,7 @@ def values(step: ControlStep) -> tuple[Any, ...]:
     return tuple(getattr(step, name) for name in OUTPUTS)
 
 
+@pytest.mark.long
 def test_a_controller_in_the_sandbox_flies_with_the_bits_of_the_same_one_inside() -> None:
     own = starter("lqr-attitude")
     inside = fly(controller(FlightCode([own], trusted=True)), UNTIL)

@@ -237,6 +237,7 @@ def test_each_cause_of_the_table_is_tried() -> None:
         assert cause.name not in ALONE or ALONE[cause.name][2] == cause.action
 
 
+@pytest.mark.long
 def test_commands_from_outside_fly_and_are_watched_like_those_inside() -> None:
     """A user's whole core, stepped beside the gate as a sandbox would be: the bits of the same controller inside."""
     own = starter("lqr-attitude")

@@ -101,6 +101,7 @@ def test_a_nonlinear_structure_has_no_gust() -> None:
     assert fit(free_response(), flown(1), **options).disturbance.kind == "white"  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_a_structure_without_lag_keeps_output_error() -> None:
     # It would take what the lag does behind an edge, where the gust has not pushed yet, for less gain and delay.
     wanted, held = ("mu", "tau", "theta_0", "q_0"), {"w_n": 3.437, "xi": 0.0836}

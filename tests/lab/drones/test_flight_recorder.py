@@ -120,6 +120,7 @@ def test_a_full_disk_is_said_once(room: int, tmp_path: Path, monkeypatch: pytest
     assert str(tmp_path) not in line
 
 
+@pytest.mark.long
 def test_recording_goes_on_where_there_is_room_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write, begun = os.write, time.monotonic()
 

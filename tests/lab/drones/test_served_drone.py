@@ -84,6 +84,7 @@ def test_undo_takes_back_the_judged_change_only() -> None:
     run_virtual(work())
 
 
+@pytest.mark.long
 def test_rows_have_the_drones_bits(
     drone: tuple[Served, OnBoard],
 ) -> None:
@@ -144,6 +145,7 @@ def test_the_page_flies_the_drone_as_it_is_told(drone: tuple[Served, OnBoard]) -
         assert not server.ask("DELETE", "/api/drones/1/lease").json["ours_leases"]
 
 
+@pytest.mark.long
 def test_the_page_tunes_and_stops_a_scripts_drone(drone: tuple[Served, OnBoard]) -> None:
     server, there = drone
     with server.socket() as client, Drone.connect(there.url) as script:
@@ -210,6 +212,7 @@ def test_parameters_are_told_with_what_a_person_needs(drone: tuple[Served, OnBoa
     assert not rows["SAFE_LINK_T"]["tuning"]
 
 
+@pytest.mark.long
 def test_a_flight_is_recorded_from_arming_to_rest_whoever_flies_it(drone: tuple[Served, OnBoard]) -> None:
     server, there = drone
     with server.socket() as client:
@@ -312,6 +315,7 @@ def test_a_frozen_page_does_not_keep_the_drone(tmp_path: Path, monkeypatch: pyte
         assert any("stands still for 0.4 s: the drone is levelled" in line for line in said)
 
 
+@pytest.mark.long
 def test_rows_go_on_after_the_drone_has_restarted(tmp_path: Path) -> None:
     with ExitStack() as first, ExitStack() as second:
         there = first.enter_context(on_board(conditions={"rings": True}))

@@ -239,6 +239,7 @@ def test_a_file_without_a_log_is_refused(server: Served, name: str, content: byt
     nothing_is_left_over(server)
 
 
+@pytest.mark.long
 def test_a_huge_file_is_refused(server: Served) -> None:
     assert MOST_UPLOADED < MAX_FILE_BYTES
     got = server.ask("POST", "/api/logs/big.mat", None, {"Content-Length": str(MOST_UPLOADED + 1)})

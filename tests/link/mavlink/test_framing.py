@@ -268,6 +268,7 @@ def test_fuzz_raises_nothing() -> None:
     assert fuzz(8_000, seed=20) > 1_600
 
 
+@pytest.mark.long
 def test_fuzz_leaves_nothing_behind() -> None:
     fuzz(1_000, seed=30)  # what is made once is made
     gc.collect()
@@ -290,6 +291,7 @@ def test_fuzz_long() -> None:
     assert sum(fuzz(1_000_000, seed=100 + n) for n in range(10)) > 2_000_000
 
 
+@pytest.mark.long
 def test_the_worst_rubbish_costs_linear_time() -> None:
     # Every twelfth byte opens a frame of the longest kind whose message is known, so that its checksum is computed.
     def cost(size: int) -> float:

@@ -68,6 +68,7 @@ def test_promise_holds_for_other_members() -> None:
     assert min(kept.values()) < count
 
 
+@pytest.mark.long
 def test_middle_of_the_band_obeys_the_model() -> None:
     """On the mean of the members x is the integral of v, and v + p_v x that of -k_v theta: the model that was drawn."""
     made = promised()
