@@ -143,6 +143,14 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
     assert on_board(lab, "RATE_KD") == 0.0
 
 
+@pytest.fixture
+def careful_model(lab_server: LabServer) -> Iterator[None]:
+    lab_server.call("PUT", "models/careful", MODEL)
+    yield
+    lab_server.tell("parameters", {"ATT_KP": 11.0}, "PATCH")
+    lab_server.call("DELETE", "models/careful")
+
+
 def fly_step(page: Page, label: str) -> None:
     """Fly a step of the pitch, again where the failsafe cuts it on a busy computer; see its curve by its `label`."""
     curve = page.get_by_text(re.compile(label)).first
@@ -157,9 +165,8 @@ def fly_step(page: Page, label: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("by", ["keys", "mouse"])
+@pytest.mark.usefixtures("careful_model")
 def test_a_gain_is_moved_flown_and_kept(by: str, lab_server: LabServer, open_page: OpenPage) -> None:
-    lab_server.call("PUT", "models/careful", MODEL)
-    lab_server.tell("parameters", {"ATT_KP": 11.0}, "PATCH")
     page = open_page(f"{lab_server.link}#/tune", expects=("504",))  # asked again where the computer is busy
     page.get_by_label("Model", exact=True).select_option("careful")
     expect(page.get_by_text(re.compile(r"Stable, disk margin at least \d+ deg"))).to_be_visible(timeout=LONG_MS)
@@ -198,8 +205,6 @@ def test_a_gain_is_moved_flown_and_kept(by: str, lab_server: LabServer, open_pag
     page.get_by_label("Keep all parameters as").fill(f"calmer by {by}")
     page.get_by_role("button", name="Keep", exact=True).click()
     expect(page.get_by_text(f"Kept as calmer by {by}")).to_be_visible()
-    lab_server.tell("parameters", {"ATT_KP": 11.0}, "PATCH")
-    lab_server.call("DELETE", "models/careful")
 
 
 def test_a_snapshot_is_compared_and_restored(lab: ServedLab, open_page: OpenPage) -> None:

@@ -28,8 +28,8 @@ export class MeasuredSteps {
   private log = $state("");
   private readonly history = new History([...new Set(STEP_COLUMNS)]);
   private readonly watch = new StepWatch(this.history);
-  /** Values of the parameters by the number of their changes in this flight. */
-  private values: ReadonlyMap<string, number>[] = [];
+  /** Values of the parameters by the start of the step that was flown with them [s]. */
+  private values: ReadonlyMap<number, ReadonlyMap<string, number>> = new Map();
 
   constructor(
     private readonly drone: number,
@@ -44,8 +44,9 @@ export class MeasuredSteps {
     });
     const timer = setInterval(() => {
       const rows = this.rows().filter((row) => row.same_as === "");
-      this.values[this.history.changes.length] = new Map(rows.map((row) => [row.label, row.value]));
+      const now = new Map(rows.map((row) => [row.label, row.value]));
       this.live = this.watch.update();
+      this.values = new Map(this.live.map(({ time }) => [time, this.values.get(time) ?? now]));
     }, LOOK_MS);
     void this.readLatest();
     return () => {
@@ -73,9 +74,8 @@ export class MeasuredSteps {
   }
 
   private labelOf(step: FlownStep, steps: readonly FlownStep[]): string {
-    const own = this.values[step.changes] ?? new Map<string, number>();
-    const differ = [...own].filter(([name, value]) =>
-      steps.some((other) => (this.values[other.changes]?.get(name) ?? value) !== value),
+    const differ = [...(this.values.get(step.time) ?? [])].filter(([name, value]) =>
+      steps.some((other) => (this.values.get(other.time)?.get(name) ?? value) !== value),
     );
     const gains = differ.slice(0, NAMED).map(([name, value]) => `${name} ${figure(value, 3)}, `);
     return `${gains.join("")}flown at ${step.time.toFixed(1)} s`;
