@@ -131,7 +131,7 @@ async def test_a_program_that_stood_still_hears_the_answer(peer: Peer, drone: As
 @pytest.mark.parametrize("reports", ["in time", "late", "another value"])
 @flight()
 async def test_an_unconfirmed_change_is_known_by_its_values(peer: Peer, drone: AsyncDrone, reports: str) -> None:
-    """No COMMIT is answered; the drone reports the value meanwhile, or after the deadline."""
+    """No COMMIT is answered; the drone reports the value before the deadline or after it."""
 
     def spoil(_: int, sent: Any) -> list[Any]:
         hidden = sent.get_type() == "PARAM_VALUE" and reports != "in time" and peer.parameters["ATT_KP"] != 11.0

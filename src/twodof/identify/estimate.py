@@ -39,8 +39,8 @@ class Estimate:
     `sums` are sums of unknowns by name (`Structure.sums`), which `found[name]`, `sigma` and `interval` know as well.
     `noise` is each output's residual standard deviation, `disturbance` the noise model under which all this holds.
     Under one that is not white, `covariance` and all tests are those of its prediction errors. `identification` and
-    `validation` compare model and data, one entry an output of a record. `prior` is what was known beforehand of the
-    unknowns that were estimated: mean and standard deviation. It is part of the estimate and of its doubt. `gaps` says
+    `validation` compare model and data, one entry an output of a record. `prior` has mean and standard deviation of
+    the estimated unknowns before the fit. It is part of the estimate and of its doubt. `gaps` says
     where inputs lost so many samples in a row that it is not known what was applied (`Record.gaps`). `offsets` names
     inputs and outputs far from 0 that the model does not account for.
     """

@@ -73,7 +73,7 @@ def fit(
     record under 800 samples "input" asks for a linear structure with the lag of the actuator. Another one takes "ar" in
     closed loop, from 250 samples on, and output error in open loop. In open loop output error also stays where the
     noise model would change the estimates by more than chance: then the structure is wrong.
-    `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are estimated all the same,
+    `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are still estimated,
     and the prior is weighed against the data (Bayes, normal). It is added to what the structure knows of the
     machine (`Structure.prior`); an infinite standard deviation takes that away. Its mean is the first guess.
 
