@@ -103,7 +103,8 @@ def fly_and_tune(server: Served, number: int) -> None:
             asked = {"loop": "theta", "value": 0.02 * (-1) ** k}
             assert server.ask("PUT", f"{drone}/setpoint", asked).status == 200
             gains = {"ATT_KP": 11.0 - 0.1 * (k % 2)}
-            assert server.ask("PATCH", f"{drone}/parameters", gains).status == 200
+            # A busy computer may answer too late; the remedy is to set it again.
+            assert any(server.ask("PATCH", f"{drone}/parameters", gains).status == 200 for _ in range(3))
             now = client.frame().times[-1]
             while client.frame().times[-1] < now + 0.1:
                 pass
