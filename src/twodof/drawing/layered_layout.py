@@ -99,10 +99,10 @@ class _Layered:
         self.passing: dict[tuple[int, int], float] = {}  # (net, column) -> height of a passing wire
 
     def run(self) -> GraphLayout:
-        self.rank = self._wished_ranks() if self.author else self._ranks()
+        self.rank = self._preferred_ranks() if self.author else self._ranks()
         self._fill_columns()
         if self.author:
-            self._order_by_wish()
+            self._order_by_preference()
         else:
             self._reduce_crossings()
         self._heights()
@@ -150,7 +150,7 @@ class _Layered:
         least = min(rank.values())
         return [rank[i] - least for i in range(len(self.boxes))]
 
-    def _wished_ranks(self) -> list[int]:
+    def _preferred_ranks(self) -> list[int]:
         """Columns from the author's places: boxes whose widths overlap share one."""
         placed = sorted((b.preferred[0], i) for i, b in enumerate(self.boxes) if b.preferred is not None)
         rank: dict[int, int] = {}
@@ -229,7 +229,7 @@ class _Layered:
                 best, least = [list(c) for c in self.columns], now
         self.columns = best
 
-    def _order_by_wish(self) -> None:
+    def _order_by_preference(self) -> None:
         """Order columns by the author's heights; a box without one takes its neighbours'."""
         preferred = dict(self.author)
         links = [link for c in range(len(self.columns)) for link in self._links(c)]

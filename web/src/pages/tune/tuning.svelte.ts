@@ -114,11 +114,15 @@ export class Tuning {
   /** Send what a slider has changed, if that is wished and the model finds no unstable drone. */
   async released(): Promise<void> {
     if (!this.atRelease || this.changes.length === 0 || this.sending) return;
+    if (await this.unstable()) this.failure = "Not sent: these gains may be unstable. Press Send.";
+    else await this.send();
+  }
+
+  /** Return whether the model finds drones that the present edits make unstable; asks if the preview is outdated. */
+  async unstable(): Promise<boolean> {
     clearTimeout(this.waiting);
     if (this.model !== null && !this.judged) await this.ask(asRecord(this.changes));
-    if (this.judged?.unstable && this.judged.touches)
-      this.failure = "Not sent: these gains may be unstable. Press Send.";
-    else await this.send();
+    return this.judged !== undefined && this.judged.unstable && this.judged.touches;
   }
 
   take(changes: readonly Change[]): void {
