@@ -26,9 +26,9 @@ from tests.web.lab_server import LabServer, served
 
 PROJECT = Path(__file__).resolve().parents[2]
 PICTURES = PROJECT / "out" / "web"
-# A drone on a busy computer may refuse to arm, or a set-point after its failsafe has stopped the motors, or answer too
-# late. A test finds itself whether it flies.
-NOT_DONE = re.compile(r"status of (409 .*/(arm|setpoint)|504 .*/drones/\d+/\w+)\)$")
+# On a busy computer a drone may refuse to arm, refuse what it shall fly after its failsafe has stopped the motors, or
+# answer too late. A test finds itself whether it flies.
+NOT_DONE = re.compile(r"status of (409 .*/(arm|setpoint|excitation)|504 .*/drones/\d+/\w+)\)$")
 ARGUMENTS = (
     "--no-sandbox",
     "--disable-gpu",

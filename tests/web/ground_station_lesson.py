@@ -9,6 +9,7 @@ from collections.abc import Callable
 from playwright.sync_api import Page, expect
 
 from tests.patience import PATIENCE_S
+from tests.web.pilot import flown, press
 
 Take = Callable[[str], None]
 """Takes a picture of the page under a name."""
@@ -44,8 +45,8 @@ def _fly(page: Page, take: Take) -> None:
     page.get_by_role("button", name="Arm", exact=True).click()
     expect(page.get_by_role("button", name="Disarm")).to_be_enabled()
     page.get_by_role("tab", name="Position").click()
-    flown = page.get_by_role("table", name="Steps as they are flown").get_by_role("row")
-    rows = [flown.filter(has_text=step).last for step in ("0.00 → 0.10", "0.10 → 0.00")]
+    listed = page.get_by_role("table", name="Steps as they are flown").get_by_role("row")
+    rows = [listed.filter(has_text=step).last for step in ("0.00 → 0.10", "0.10 → 0.00")]
     for _ in range(3):  # on a busy computer the failsafe may cut a step
         for place in ("0.00", "0.10", "0.00"):
             page.get_by_role("button", name=place, exact=True).click()
@@ -55,8 +56,7 @@ def _fly(page: Page, take: Take) -> None:
     for row in rows:
         expect(row).to_contain_text(FIGURES)
     take("fly")
-    page.get_by_role("button", name="Start", exact=True).click()
-    expect(page.get_by_role("button", name="Stop it")).to_be_visible()
+    flown(page, press(page, "Start"), page.get_by_role("button", name="Stop it").is_visible)
     time.sleep(STANDS_S)
     page.get_by_role("button", name="Disarm").click()
     expect(page.get_by_role("button", name="Arm", exact=True)).to_be_enabled()

@@ -199,7 +199,7 @@ def fold(path: str) -> list[dict[str, Any]]:
             "time": one.time.tolist(),
             "shares": one.shares[-MOST_FOLDED:].tolist(),
             "mean": one.shares.mean(axis=0).tolist(),
-            "deviation": one.shares.std(axis=0).tolist(),
+            "deviation": one.shares.std(axis=0, ddof=int(len(one.shares) > 1)).tolist(),
         }
         for one in folded_steps(log, step_responses(log))
     ]
