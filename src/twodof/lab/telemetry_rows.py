@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from math import ceil
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -113,20 +112,20 @@ class Decimation:
             return np.asarray(BOOT + ticks * PERIOD), values
         if self._begun is not None:
             ticks, values = np.concatenate([self._begun[0], ticks]), np.concatenate([self._begun[1], values])
-        edges = [0, *(np.flatnonzero(np.diff(ticks // self.ticks)) + 1).tolist()]
-        self._begun = ticks[edges[-1] :], values[edges[-1] :]
-        ends = [end for first, after in pairwise(edges) for end in (ticks[first], ticks[after - 1])]
-        rows = [row for first, after in pairwise(edges) for row in _extremes(values[first:after])]
-        times = BOOT + np.array(ends, dtype=np.int64) * PERIOD
-        return np.asarray(times), np.array(rows, dtype=np.float32).reshape(len(ends), values.shape[1])
-
-
-def _extremes(values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return two rows with each column's lowest and highest value, in the order in which they came."""
-    absent, columns = np.isnan(values), np.arange(values.shape[1])
-    least = np.where(absent, np.inf, values).argmin(axis=0)
-    most = np.where(absent, -np.inf, values).argmax(axis=0)
-    return values[np.minimum(least, most), columns], values[np.maximum(least, most), columns]
+        begins = np.diff(ticks // self.ticks, prepend=-1) > 0
+        first, bucket = np.flatnonzero(begins), np.cumsum(begins) - 1
+        whole = first[-1]  # the last bucket is whole once another begins
+        self._begun = ticks[whole:], values[whole:]
+        if not whole:
+            return np.empty(0), values[:0]
+        ends = np.stack([first[:-1], first[1:] - 1], axis=1).reshape(-1)
+        inside = np.full((len(first) - 1, self.ticks, values.shape[1]), np.nan, dtype=np.float32)
+        inside[bucket[:whole], ticks[:whole] % self.ticks] = values[:whole]
+        absent = np.isnan(inside)
+        least = np.where(absent, np.inf, inside).argmin(axis=1)
+        most = np.where(absent, -np.inf, inside).argmax(axis=1)
+        rows = np.take_along_axis(inside, np.sort(np.stack([least, most], axis=1), axis=1), axis=1)
+        return np.asarray(BOOT + ticks[ends] * PERIOD), rows.reshape(len(ends), values.shape[1])
 
 
 ROWS = 1
@@ -250,9 +249,9 @@ class Allowance:
         self._at = now
         return self._left > 0.0
 
-    def spend(self, messages: int, size: int) -> None:
-        """Count messages of `size` bytes each."""
-        self._left -= messages * (1.0 + size / MESSAGE_BYTES)
+    def spend(self, messages: int, size: int, read: int) -> None:
+        """Count messages of `size` bytes each, made of rows of `read` bytes."""
+        self._left -= messages * (1.0 + size / MESSAGE_BYTES) + read / MESSAGE_BYTES
 
 
 class FeedKey(NamedTuple):
@@ -285,18 +284,18 @@ class _Feed:
             for stream in self.to:
                 stream.dropped += len(lost)
 
-    def send(self) -> int:
-        """Send the waiting rows to all subscriptions; return the number of bytes of one message."""
+    def send(self) -> tuple[int, int]:
+        """Send the waiting rows to all subscriptions; return the bytes of one message, and those of the rows read."""
         ticks = np.concatenate([one for one, _ in self.waiting])
-        values = np.concatenate([one[:, self._places] for _, one in self.waiting])
+        values = np.concatenate([one for _, one in self.waiting])[:, self._places]
         self.waiting.clear()
         times, rows = self._decimation.take(ticks, values)
         if not len(times):
-            return 0
+            return 0, values.nbytes
         packed = body(times, rows)
         for stream, outbox in self.to.items():
             outbox.put(Rows(stream, packed, len(times)))
-        return len(packed)
+        return len(packed), values.nbytes
 
 
 WATCHERS_MESSAGES, MOST_AT_ONCE, MESSAGE_BYTES = 1500.0, 32.0, 16 * 1024
@@ -345,7 +344,7 @@ class Feeds:
                 return
             feed = self._feeds.pop(key)
             self._feeds[key] = feed  # after all others
-            self._allowance.spend(len(feed.to), feed.send())
+            self._allowance.spend(len(feed.to), *feed.send())
 
 
 class Audience(set[Outbox]):

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,7 +38,7 @@ class Flown(NamedTuple):
 
 
 def kills(server: Served, number: int, count: int = SAMPLES) -> float:
-    """Kill and release the drone; return the 99th percentile of the kills' times [s].
+    """Kill and release the drone; return the 99th percentile of the kills' times [s], infinite for one not confirmed.
 
     Half of the kills come over the page's connection, the others over new ones.
     """
@@ -50,8 +51,8 @@ def kills(server: Served, number: int, count: int = SAMPLES) -> float:
             connection.request("POST", f"/api/drones/{number}/kill", None, headers)
             answer = connection.getresponse()
             answer.read()
-            times.append(time.monotonic() - began)
-            assert answer.status == 200
+            times.append(time.monotonic() - began if answer.status == 200 else inf)
+            assert answer.status in {200, 504}
             if connection is not kept:
                 connection.close()
             assert server.ask("POST", f"/api/drones/{number}/release").status == 200
@@ -120,18 +121,20 @@ NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.soak) f
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_kills_get_through_and_the_commander_flies(flown: Flown, name: str) -> None:
-    with attacked(flown, name):
-        fly_and_tune(flown.server, flown.number)
+    for turn in range(TRIES):
+        with attacked(flown, name):
+            if turn == 0:
+                fly_and_tune(flown.server, flown.number)
+            found = kills(flown.server, flown.number)
         # A busy computer delays everything: the same kills without the attack show by how much. Other tests come and
         # go meanwhile; a server that does not hold misses the limit each time.
-        for _ in range(TRIES):
-            found = kills(flown.server, flown.number)
-            if found < max(MOST_S, 3 * flown.quiet):
-                break
+        most = MOST_S if found < MOST_S else max(MOST_S, 3 * kills(flown.server, flown.number))
+        if found < most:
+            break
     if path := os.environ.get("ATTACK_FIGURES"):
         with Path(path).open("a") as file:
             file.write(f"{name} {1e3 * found:.0f} ms, without {1e3 * flown.quiet:.0f} ms\n")
-    assert found < max(MOST_S, 3 * flown.quiet)
+    assert found < most
 
 
 @pytest.mark.long
