@@ -23,7 +23,7 @@ from hypothesis.internal.constants_ast import Constants
 from twodof.flightlog.public_data import PUBLIC_LOGS, cache_folder
 
 PROJECT = Path(__file__).resolve().parents[1]
-SLOW_FILE = re.compile(r"^pytestmark = .*\bpytest\.mark\.slow\b", re.MULTILINE)
+SLOW_FILE = re.compile(r"^pytestmark = (?:\[\n *)?.*\bpytest\.mark\.slow\b", re.MULTILINE)
 BEGAN = pytest.StashKey[float]()
 
 # A shared, loaded machine must not turn a slow example into a failure; the same examples every run.

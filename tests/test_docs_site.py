@@ -10,6 +10,8 @@ import pytest
 from tests.toolchains import lacking
 from tools import cli_docs, lab_docs, site
 
+pytestmark = pytest.mark.slow
+
 PAGE = '<a href="https://a.b/">a</a><script src="https://c.d/e.js"></script><img src="pictures/f.png">'
 
 

@@ -12,6 +12,8 @@ from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.flight_segment import default_window
 from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 
+pytestmark = pytest.mark.slow
+
 RIG = lab().snapshot()
 
 

@@ -14,6 +14,8 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.rig.parameters import lab
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 
+pytestmark = pytest.mark.slow
+
 HOLD = (2.0, 21.5)
 
 

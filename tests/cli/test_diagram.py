@@ -17,6 +17,8 @@ from twodof.cli.app import run
 from twodof.flight.starters import load_diagram
 from twodof.models import pitch_rate
 
+pytestmark = pytest.mark.slow
+
 LOOP = Diagram("loop", "a first loop")
 LOOP.input("r")
 LOOP.param("k", 2.0, low=0.0, high=10.0)

@@ -11,6 +11,8 @@ from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_replay_document_has_its_form(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
     log = str(flight_data / "velocity-doublets-0.25.mat")

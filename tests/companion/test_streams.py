@@ -16,6 +16,8 @@ from twodof.link.mavlink.dialect import PROFILES as VEHICLE_PROFILES
 from twodof.link.mavlink.framing import decode
 from twodof.link.mavlink.messages import channel_mask
 
+pytestmark = pytest.mark.slow
+
 TO = {"target_system": SYSTEM, "target_component": 1}
 ATTITUDE, BATCH = 30, 54203
 

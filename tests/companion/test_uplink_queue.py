@@ -20,6 +20,8 @@ from twodof.companion.uplink_queue import (
 from twodof.link.mavlink.framing import LONGEST_FRAME
 from twodof.link.transport.base import Transport
 
+pytestmark = pytest.mark.slow
+
 RATE = 11_520.0  # 115200 baud
 
 

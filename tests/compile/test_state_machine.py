@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,6 +12,8 @@ from tests.compile.differential import Case, reference_run, same
 from tests.compile.machine_cases import array_case, machine_case
 from tests.compile.random_machines import told_by_the_table
 from twodof.blocks.schema import from_json, to_json
+
+pytestmark = pytest.mark.slow
 
 STEPS = 30
 

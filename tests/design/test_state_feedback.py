@@ -16,6 +16,8 @@ from twodof.models.lqr import lqr
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 VALUES = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "dead_time": 0.0113, "lag": 0.0087}
 FAMILY = PitchFamily.of(VALUES, {"mu": 8.0, "dead_time": 0.0007}, gust=1.0, q_noise=0.02)
 PAPER = PitchFamily.of({"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.02})

@@ -13,6 +13,8 @@ from twodof.experiment.prediction import predict, predicted
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 DOUBLET = Doublet(radians(8.0), 0.8, unit="rad", lead=0.2, settle=1.0)
 
 

@@ -18,6 +18,8 @@ from twodof.flight.failsafe.state_machine import FLYING
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
 
+pytestmark = pytest.mark.slow
+
 NO_NUMBERS = (nan, inf, -inf)
 TERMINATE, DISARM = 185, (ARM, 0.0)
 MOST_ELEMENTS = 4  # of an array: the others of its elements are read by the same loop

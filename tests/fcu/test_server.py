@@ -20,6 +20,8 @@ from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps
 from twodof.link.transport import open_transport, udp
 
+pytestmark = pytest.mark.slow
+
 CLIENT = 250
 
 

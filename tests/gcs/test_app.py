@@ -12,6 +12,8 @@ from tests.gcs.virtual import OnBoard, on_board
 from tests.patience import PATIENCE_S
 from twodof.gcs.app import FINE, NO_APP, RAISED, run
 
+pytestmark = pytest.mark.slow
+
 HOLDS = """
 async def main(drone):
     await drone.run(0.3)

@@ -12,6 +12,8 @@ from twodof.excitation import Multisine
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.transport import open_transport
 
+pytestmark = pytest.mark.slow
+
 # The issue's: three packets in ten are lost, 200 ms of jitter, and what that reorders; one in ten comes twice.
 BAD = Faults(loss=0.3, duplicate=0.1, reorder=0.1, jitter=0.2)
 LONG = Multisine.schroeder(0.1, 10.0, range(1, 120), unit="rad")  # of 30 pieces

@@ -25,6 +25,8 @@ from twodof.link.transport import open_transport
 from twodof.link.transport.url import Ports
 from twodof.sim.virtual_drone import VirtualDrone
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_signed_drone_is_flown_with_its_key_only(tmp_path: Path) -> None:
     key = Key.fresh()

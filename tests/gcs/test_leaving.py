@@ -23,6 +23,8 @@ from twodof.gcs.drone import Drone
 from twodof.gcs.loop_thread import LoopThread
 from twodof.link.mavlink.messages import channel_mask
 
+pytestmark = pytest.mark.slow
+
 
 def ended(runner: LoopThread, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
     """Return the result of `work` in the runner, or SystemExit, in a thread that is given up if it hangs."""

@@ -25,6 +25,8 @@ from twodof.gcs.recording import TOGETHER, Recording
 from twodof.link.mavlink.messages import message
 from twodof.signals import TOPICS
 
+pytestmark = pytest.mark.slow
+
 
 def test_empty_batches_take_no_memory(tmp_path: Path) -> None:
     recording = Recording(tmp_path / "empty.mcap", [row for row in TOPICS if row.onboard], {}, wait=True)

@@ -14,6 +14,8 @@ from twodof.models import PAPER_PITCH_RATE, Structure, pitch_rate
 from twodof.models.around_plant import Offset
 from twodof.models.structures import ROTOR_LAG
 
+pytestmark = pytest.mark.slow
+
 U = doublet(300, 0.2, 0.6, 0.03)
 
 

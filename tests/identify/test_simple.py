@@ -20,6 +20,8 @@ from twodof.models.plant import (
     Velocity,
 )
 
+pytestmark = pytest.mark.slow
+
 IMPULSE = np.concatenate([np.zeros(125), np.full(50, 0.1), np.zeros(4825)])
 
 

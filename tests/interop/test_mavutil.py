@@ -18,6 +18,8 @@ from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.starters import starter
 from twodof.sim.virtual_drone import VirtualDrone
 
+pytestmark = pytest.mark.slow
+
 CLIENT = Path(__file__).with_name("mavutil_parameters_client.py")
 OWN, NAME, PATH = "lqr-attitude", "TLA_K_Q", "attitude_control.k_q"
 

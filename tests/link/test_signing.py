@@ -44,6 +44,8 @@ from twodof.link.transport import open_transport
 from twodof.link.transport.memory import memory_pair
 from twodof.link.transport.udp import UdpTransport
 
+pytestmark = pytest.mark.slow
+
 KEY = Key(bytes(range(32)))
 START = 11 * 365 * 24 * 3600 * PER_SECOND
 

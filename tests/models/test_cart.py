@@ -18,6 +18,8 @@ from twodof.models.structures import pitch_on_cart, pitch_rate, rail
 from twodof.rig.parameters import load_rig
 from twodof.rig.steady_state import model_parameters
 
+pytestmark = pytest.mark.slow
+
 DT = 0.004
 
 

@@ -9,6 +9,8 @@ from twodof.errors import ParameterError
 from twodof.models.lti import DelayedStateSpace, step_figures
 from twodof.models.plant import PAPER_PITCH_RATE, Longitudinal, PitchRate, Velocity, thrust_curve
 
+pytestmark = pytest.mark.slow
+
 DT = 0.004
 
 

@@ -18,6 +18,8 @@ from twodof.report.plots.comparison_view import Align, comparison_view, flight_s
 from twodof.report.step_responses import folded_steps, most_stepped, step_responses
 from twodof.signals import ATTITUDE, PERIOD
 
+pytestmark = pytest.mark.slow
+
 XI, OMEGA = 0.5, 12.0
 
 

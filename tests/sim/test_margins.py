@@ -20,6 +20,8 @@ from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.sim.closed_loop import InitialState, closed_loop
 
+pytestmark = pytest.mark.slow
+
 TICKS = SAMPLE[0]
 SUMS = {
     **dict.fromkeys(("force.forth", "force.back"), "force.along_limit"),

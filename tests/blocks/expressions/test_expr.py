@@ -16,6 +16,8 @@ from twodof.blocks.expressions.graph import evaluate, leaves, walk
 from twodof.blocks.expressions.numbers import UInt32
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 X = leaf("input", "x", "real")
 Y = leaf("input", "y", "real")
 I = leaf("input", "i", "int32")

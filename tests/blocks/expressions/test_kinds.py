@@ -38,6 +38,8 @@ from twodof.blocks.expressions.numbers import BY_NAME, STORED
 from twodof.blocks.reference import Reference
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 TO = {"int8": to_int8, "uint8": to_uint8, "int16": to_int16, "uint16": to_uint16}
 wholes = st.integers(-(2**31), 2**31 - 1)
 any_float = st.floats(width=32)

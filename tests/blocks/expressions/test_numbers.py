@@ -12,6 +12,8 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Int32, UInt32, Vector
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 INT = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([-(2**31), -1, 0, 1, 2**31 - 1])
 UINT = st.integers(0, 2**32 - 1) | st.sampled_from([0, 1, 2**31, 2**32 - 1])
 

@@ -23,6 +23,8 @@ from twodof.blocks.library import (
 from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import ParameterError
 
+pytestmark = pytest.mark.slow
+
 
 def shifted(u: np.ndarray, samples: int, initial: float) -> np.ndarray:
     return np.concatenate((np.full(samples, initial), u))[: len(u)]

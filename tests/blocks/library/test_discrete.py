@@ -17,6 +17,8 @@ from twodof.blocks.library import (
 )
 from twodof.blocks.reference.interpreter import Reference
 
+pytestmark = pytest.mark.slow
+
 DT = 0.02
 INTEGRATORS = {"forward": [0.0, DT], "backward": [DT, 0.0], "trapezoidal": [DT / 2, DT / 2]}
 

@@ -1,12 +1,15 @@
 """Tables and look-ups against numpy's."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator, interp1d
 
 from tests.blocks.library.harness import assert_close, few, run, run_y
 from twodof.blocks.library import Lookup, Lookup2D, Playback, Table
+
+pytestmark = pytest.mark.slow
 
 DT = 0.01
 

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from twodof.compile.diagram_test import assertion
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 DT = 0.25  # exact in binary, so that times can be compared as they stand
 VALUES = st.lists(st.sampled_from([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, math.nan, math.inf]), min_size=9, max_size=9)
 LIMIT = st.sampled_from([-1.0, -0.5, 0.0, 0.5, 1.0])

@@ -26,7 +26,10 @@ from tests.compile.px4.modules import PITCH_LOG, pitch
 from twodof.compile import build
 from twodof.compile.px4.controller import DT
 
+pytestmark = pytest.mark.slow
 
+
+@pytest.mark.long
 def test_a_flight_gives_the_hosts_outputs_bit_for_bit(bench: Bench) -> None:
     mode(bench)
     fly(bench, 500)

@@ -20,6 +20,8 @@ from twodof.fcu.command.excitation_player import DONE, PLAYING, READY, RECEIVING
 from twodof.link.mavlink.messages import excite, message
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 LONG = Multisine.schroeder(0.1, 1.0, range(1, 30))  # some pieces
 VALUES = LONG.at(np.arange(250) * PERIOD)
 """What it plays."""

@@ -18,6 +18,8 @@ from twodof.link.mavlink import modes, setpoints
 from twodof.link.mavlink.messages import message
 from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 
+pytestmark = pytest.mark.slow
+
 LEVEL = setpoints.attitude_target(0.0, 0.4, **TARGET)
 
 

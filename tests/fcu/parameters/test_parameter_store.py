@@ -13,6 +13,8 @@ from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterSt
 from twodof.fcu.parameters.table import VehicleParameter, vehicle_rows, wire_rows
 from twodof.parameters import FLIGHT_PARAMETERS
 
+pytestmark = pytest.mark.slow
+
 ROWS = {row.name: row for row in wire_rows(1)}
 FREE = [row for row in vehicle_rows(1) if not row.fixed]
 WRONG: tuple[Any, ...] = (float("nan"), float("inf"), -float("inf"), 1e300, "1", None, True, 10**400)

@@ -15,6 +15,8 @@ from twodof.identify.problem import Problem
 from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate
 
+pytestmark = pytest.mark.slow
+
 TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=300.0, tau=0.02)
 SAMPLES = 1600
 AFTER = 16

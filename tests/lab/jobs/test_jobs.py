@@ -17,6 +17,8 @@ from twodof.lab.access import CLIENT, LabClient, Role
 from twodof.lab.answers import NotThere
 from twodof.lab.processes import AT_ONCE, MOST_KEPT, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Job, Jobs, Progress
 
+pytestmark = pytest.mark.slow
+
 OURS = CLIENT.get()
 
 

@@ -24,6 +24,8 @@ from twodof.lab.telemetry_rows import (
     TickRows,
 )
 
+pytestmark = pytest.mark.slow
+
 RATES = st.sampled_from([0.5, 1.0, 7.0, 20.0, 50.0, 60.0, 125.0, 200.0, 249.0])
 VALUES = st.lists(
     st.tuples(*[st.one_of(st.floats(-100, 100, width=32), st.just(float("nan")))] * 2), min_size=1, max_size=400

@@ -24,6 +24,8 @@ from twodof.lab import diagram_work
 from twodof.lab.answers import status_of
 from twodof.lab.processes import Workbench
 
+pytestmark = pytest.mark.slow
+
 
 def on_a_bench(use: Callable[[Workbench], Coroutine[Any, Any, Any]]) -> Any:
     async def run() -> Any:

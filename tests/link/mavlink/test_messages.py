@@ -24,6 +24,8 @@ from twodof.link.mavlink.messages import (
     statustext,
 )
 
+pytestmark = pytest.mark.slow
+
 
 def over_the_wire(sent: Any) -> Any:
     """Return the message as the receiver decodes it."""
