@@ -304,7 +304,7 @@ def test_blocks_are_commented_grouped_and_given_parameters(server: Served, open_
     saved = from_json(kept(server, "notch_attitude"))
     assert saved.params["rate_limit_high"].value == 20.0
     assert saved.parts["rate_limit"].params == {"high": "rate_limit_high"}
-    assert str(saved.parts["pid"].item.text).startswith("Commented through")
+    assert saved.parts["pid"].commented == "through"
 
 
 def test_an_algebraic_loop_is_marked(server: Served, open_page: OpenPage) -> None:

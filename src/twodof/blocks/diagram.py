@@ -58,6 +58,7 @@ class Part:
     `enabling` tells. `initial` are the outputs' values before they are first computed, to which "reset" sets them too.
     With a `trigger` it acts only at the ticks at which that has an `edge`: "rising", "falling" or "either".
     `position` is its place on the editor's sheet, where a `flipped` part has its inputs on the right side.
+    A `commented` sub-diagram stands for its first part: "out" has outputs of 0, "through" passes its inputs on.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Part:
     initial: dict[str, Any] = field(default_factory=dict)
     position: tuple[float, float] | None = None
     flipped: bool = False
+    commented: str = ""
 
 
 class Diagram:

@@ -414,6 +414,14 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
         file(parts=[{"name": "g", "block": {"type": "gain"}, "flipped": 1}]),
         "flipped",
     ),
+    "a block commented without a sub-diagram": (
+        file(parts=[{"name": "g", "block": {"type": "gain"}, "commented": "out"}]),
+        "of a sub-diagram",
+    ),
+    "a word for a comment": (
+        file(parts=[{"name": "g", "diagram": {"name": "g"}, "commented": "away"}]),
+        "write .out. or .through.",
+    ),
     "a position beyond all screens": (
         file(parts=[{"name": "g", "block": {"type": "gain"}, "position": [1e300, 0]}]),
         "position",

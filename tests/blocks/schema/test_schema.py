@@ -47,6 +47,7 @@ def everything() -> Diagram:
     d.add("sub", inner, enable="on", reset="on", disabled="reset", position=(1.0, 2.5), initial={"h": float("inf")})
     d.parts["sub"].enabling = "restart"
     d.parts["sub"].flipped = True
+    d.parts["sub"].commented = "out"
     d.add("elsewhere", inner, enable="on", disabled={"h": float("-inf")})
     d.add("edge", inner, trigger="on", edge="falling")
     d.add("slow", Memory(), rate=(5, 2))

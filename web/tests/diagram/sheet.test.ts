@@ -7,6 +7,7 @@ import {
   diagramFrom,
   diagramTo,
   findPart,
+  readDiagram,
   wiresOf,
   writeDiagram,
   type Diagram,
@@ -299,7 +300,11 @@ describe("a commented block", () => {
     for (const how of ["out", "through"] as const) {
       const made = commentToggled(d, names, how, shapes);
       expect(made.connections).toBe(d.connections);
-      expect(commented(findPart(made, "a")!)?.how).toBe(how);
+      const part = findPart(made, "a")!;
+      expect(commented(part)?.how).toBe(how);
+      expect(commented({ ...part, item: { ...part.item, text: "reworded" } as Diagram })?.how).toBe(how);
+      expect(commented({ ...part, rest: {} })?.how).toBe(how); // as files were written once
+      expect(readDiagram(writeDiagram(made)).parts[0]?.rest).toEqual({ commented: how });
       expect(findPart(made, "a")?.params).toEqual({ p: "p" });
       const renamed = renameParam(made, "p", "gain");
       expect(findPart(commentToggled(renamed, names, how, shapes), "a")?.params).toEqual({ k: "gain" });

@@ -55,6 +55,7 @@ SETTINGS: Fields = {
     "initial": (dict, {}),
     "position": ((list, NoneType), None),
     "flipped": (bool, False),
+    "commented": (str, ""),
 }
 """How a part runs and where it is drawn, in the order of a file."""
 _PART: Fields = {"name": _NAME, **SETTINGS, **dict.fromkeys(("diagram", "block"), ((dict, NoneType), None))}
@@ -147,12 +148,17 @@ class Loader:
                     raise DiagramError(what, where, "let fewer of the diagrams within one another restart")
         else:
             item = self.block(member(form, "block", dict, where), where)
-        settings = {key: given[key] for key in SETTINGS if key != "flipped"}
+        if given["commented"] not in ("", "out", "through") or (given["commented"] and isinstance(item, Block)):
+            raise DiagramError(
+                f"commented: {shown(given['commented'])}", where, 'write "out" or "through", of a sub-diagram'
+            )
+        settings = {key: given[key] for key in SETTINGS if key not in ("flipped", "commented")}
         settings |= {key: self._plain(given[key], where) for key in ("initial", "disabled")}
         if given["position"] is not None:
             settings["position"] = _position(given["position"], where)
         d.add(given["name"], item, inputs={}, **settings)
-        d.parts[given["name"]].flipped = given["flipped"]
+        part = d.parts[given["name"]]
+        part.flipped, part.commented = given["flipped"], given["commented"]
 
     def block(self, form: dict[str, Any], where: str) -> Block:
         """Return the block that `form` describes, of the part at the path `where`. Raises DiagramError."""

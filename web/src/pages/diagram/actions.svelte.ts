@@ -272,7 +272,7 @@ export function addBorder(
 ): void {
   const stem = { input: "u", output: "y", parameter: "k" }[what];
   const outputs = new Set(editor.here.outputs.map(([name]) => name));
-  const name = freeName(editor.here, stem, what === "output" ? outputs : new Set());
+  const name = freeName(editor.here, stem, what === "output" ? outputs : []);
   editor.apply(`${verb} ${what} ${name}`, (d) => {
     if (what === "output") return addOutput(d, name, from);
     if (what === "parameter") return addParam(d, { name, value: real(1) });

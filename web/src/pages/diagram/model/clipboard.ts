@@ -9,7 +9,7 @@ import {
   type Diagram,
   type Part,
 } from "./diagram";
-import { movePart, nameBeside, taken } from "./edits";
+import { movePart, namer, taken } from "./edits";
 import { isList, isObject, readJson, writeJson } from "./json_text";
 
 const SCHEMA = "twodof/parts";
@@ -50,13 +50,8 @@ function copied(text: string): Copied {
 /** Paste a text under free names, a little aside. */
 export function paste(d: Diagram, text: string): { diagram: Diagram; names: string[] } {
   const { parts, connections } = copied(text);
-  const names = new Map<string, string>();
-  const used = taken(d);
-  for (const part of parts) {
-    const name = nameBeside(used, part.name);
-    names.set(part.name, name);
-    used.add(name);
-  }
+  const free = namer(taken(d));
+  const names = new Map(parts.map(({ name }) => [name, free(name)]));
   const follow = (end: string): string => {
     const [name = "", ...port] = end.split(".");
     return [names.get(name) ?? name, ...port].join(".");

@@ -9,22 +9,26 @@ import {
   type Output,
   type Part,
 } from "./diagram";
-import { EditFault, newPart } from "./edits";
-import { declared } from "./grouping";
+import { declared, EditFault, newPart } from "./edits";
 import { Num, real, type Json, type JsonObject } from "./json_text";
 import { tops, type Port, type Shapes } from "./shapes";
 
-/** Texts of such a sub-diagram, by which it is known. */
+/** Descriptions of such a sub-diagram. */
 export const COMMENTS = {
   out: "Commented out: the outputs are 0.",
   through: "Commented through: the outputs are the inputs.",
 } as const;
 export type Comment = keyof typeof COMMENTS;
+/** Texts of such sub-diagrams in files without `commented`. */
+const OLD_TEXTS = new Map<string, Comment>([
+  ["Commented out: the outputs are 0.", "out"],
+  ["Commented through: the outputs are the inputs.", "through"],
+]);
 
 /** Return how a part is commented and the block that it holds; undefined for a part in use. */
-export function commented({ item }: Part): { how: Comment; held: Part } | undefined {
+export function commented({ item, rest }: Part): { how: Comment; held: Part } | undefined {
   if (item.is !== "diagram") return undefined;
-  const how = (Object.keys(COMMENTS) as Comment[]).find((one) => COMMENTS[one] === item.text);
+  const how = (rest["commented"] as Comment | undefined) || OLD_TEXTS.get(item.text);
   const held = item.parts[0];
   return how === undefined || held === undefined ? undefined : { how, held };
 }
@@ -40,11 +44,12 @@ export function commentToggled(d: Diagram, names: ReadonlySet<string>, how: Comm
 function inUse(part: Part): Part {
   const held = commented(part)?.held;
   if (held === undefined) return part;
+  const { commented: _, ...rest } = part.rest;
   const bound = Object.entries(held.params).flatMap(([name, inner]) => {
     const outer = part.params[inner];
     return outer === undefined ? [] : [[name, outer] as const];
   });
-  return { ...part, item: held.item, params: Object.fromEntries(bound) };
+  return { ...part, rest, item: held.item, params: Object.fromEntries(bound) };
 }
 
 function wrapped(d: Diagram, part: Part, how: Comment, shapes: Shapes): Part {
@@ -89,7 +94,8 @@ function wrapped(d: Diagram, part: Part, how: Comment, shapes: Shapes): Part {
     outer.push([port.name, source]);
   }
   const item: Diagram = { ...sub, connections, outputs: outer };
-  return { ...part, item, params: Object.fromEntries([...params].map((name) => [name, name])) };
+  const rest = { ...part.rest, commented: how };
+  return { ...part, rest, item, params: Object.fromEntries([...params].map((name) => [name, name])) };
 }
 
 function zero({ kind, width }: Port): Json {

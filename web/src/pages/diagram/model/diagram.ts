@@ -71,7 +71,7 @@ export class DiagramFault extends Error {}
 
 const SCHEMA = "twodof/diagram";
 const VERSION = "1";
-const REST = ["disabled", "edge", "enabling", "initial"] as const;
+const REST = ["disabled", "edge", "enabling", "initial", "commented"] as const;
 
 /** Read the text of a file. Raises JsonFault or DiagramFault. */
 export function readDiagram(text: string): Diagram {

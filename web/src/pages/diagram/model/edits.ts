@@ -9,7 +9,7 @@ import {
   type Positions,
 } from "./diagram";
 import { Num, real, type Json, type JsonObject } from "./json_text";
-import type { Parameter } from "./shapes";
+import type { Parameter, Port } from "./shapes";
 
 export class EditFault extends Error {}
 
@@ -43,16 +43,20 @@ export function taken(d: Diagram): Set<string> {
   return new Set([...d.parts.map((part) => part.name), ...tops]);
 }
 
-export function freeName(d: Diagram, wanted: string, also: ReadonlySet<string> = new Set()): string {
-  return nameBeside(taken(d), wanted, also);
+/** Return `wanted`, with a number if it is used. */
+export function freeName(d: Diagram, wanted: string, also: Iterable<string> = []): string {
+  return namer(new Set([...taken(d), ...also]))(wanted);
 }
 
-/** Return `wanted`, with a number if it is used. */
-export function nameBeside(used: ReadonlySet<string>, wanted: string, also: ReadonlySet<string> = new Set()): string {
-  const free = (name: string): boolean => !used.has(name) && !also.has(name);
-  if (free(wanted)) return wanted;
-  const stem = wanted.replace(/_?\d+$/, "").slice(0, 56);
-  for (let n = 2; ; n++) if (free(`${stem}_${n}`)) return `${stem}_${n}`;
+/** Return a function that returns and adds to `used` the name wanted, with a number if it is used. */
+export function namer(used: Set<string>): (wanted: string) => string {
+  return (wanted) => {
+    const stem = wanted.replace(/_?\d+$/, "").slice(0, 56);
+    let name = wanted;
+    for (let n = 2; used.has(name); n++) name = `${stem}_${n}`;
+    used.add(name);
+    return name;
+  };
 }
 
 export function checkForm(name: string): void {
@@ -173,10 +177,7 @@ function isInput(d: Diagram, source: string): boolean {
 /** Wire a source to "part.port" or to an output; replaces the wire there. */
 export function connect(d: Diagram, source: string, destination: string): Diagram {
   if (d.outputs.some(([name]) => name === destination)) {
-    return {
-      ...d,
-      outputs: d.outputs.map(([n, s]) => (n === destination ? ([n, source] as const) : ([n, s] as const))),
-    };
+    return { ...d, outputs: d.outputs.map(([name, from]) => [name, name === destination ? source : from] as const) };
   }
   const overlaps = (to: string): boolean =>
     to === destination || to.startsWith(`${destination}.`) || destination.startsWith(`${to}.`);
@@ -271,6 +272,16 @@ export function declare(
   return { ...d, [section]: d[section].map((one) => (declaredName(one) === name ? change(one) : one)) };
 }
 
+/** Return the declaration of an input or parameter like a port. */
+export function declared(name: string, port: Port): JsonObject {
+  return {
+    name,
+    ...(port.kind !== "real" && { kind: port.kind }),
+    ...(port.width !== null && { width: new Num(String(port.width)) }),
+    ...(port.unit !== "" && { unit: port.unit }),
+  };
+}
+
 const ORDER = ["name", "value", "kind", "width", "unit", "low", "high", "text", "tunable", "shape", "enum"];
 
 function ordered(one: JsonObject): JsonObject {
@@ -318,21 +329,18 @@ export function addParam(d: Diagram, declared: JsonObject): Diagram {
 
 /** Declare a parameter of the diagram like one of a part, and bind that to it. */
 export function withParameter(d: Diagram, part: Part, parameter: Parameter): Diagram {
-  const { kind, width, unit, low, high, text } = parameter;
+  const { kind, low, high, text } = parameter;
   const one = (value: unknown): Json =>
     typeof value === "boolean" ? value : kind === "real" ? real(Number(value)) : new Num(String(value));
   const name = freeName(d, `${part.name}_${parameter.name.replaceAll(".", "_")}`.slice(0, 56));
-  const declared: JsonObject = {
-    name,
+  const made = ordered({
+    ...declared(name, parameter),
     value: Array.isArray(parameter.value) ? parameter.value.map(one) : one(parameter.value),
-    ...(kind !== "real" && { kind }),
-    ...(width !== null && { width: new Num(String(width)) }),
-    ...(unit !== "" && { unit }),
     ...(low !== null && { low: real(low) }),
     ...(high !== null && { high: real(high) }),
     ...(text !== "" && { text }),
-  };
-  return changePart(addParam(d, declared), part.name, (p) => bind(p, parameter.name, name));
+  });
+  return changePart(addParam(d, made), part.name, (p) => bind(p, parameter.name, name));
 }
 
 export function removeParam(d: Diagram, name: string): Diagram {

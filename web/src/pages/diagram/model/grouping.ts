@@ -10,9 +10,9 @@ import {
   type Part,
   type Point,
 } from "./diagram";
-import { EditFault, freeName, movePart, nameBeside, newPart, taken } from "./edits";
-import { Num, type JsonObject } from "./json_text";
-import type { Port, Shapes } from "./shapes";
+import { declared, EditFault, freeName, movePart, namer, newPart, taken } from "./edits";
+import type { JsonObject } from "./json_text";
+import type { Shapes } from "./shapes";
 
 /** Move parts into a new sub-diagram; returns its name too. */
 export function grouped(d: Diagram, names: ReadonlySet<string>, shapes: Shapes): { diagram: Diagram; name: string } {
@@ -29,12 +29,7 @@ export function grouped(d: Diagram, names: ReadonlySet<string>, shapes: Shapes):
   const inputs = new Map<string, JsonObject>(); // outer source -> the input
   const outputs = new Map<string, string>(); // inner source -> the output
   const taken = new Set(inside.map((part) => part.name));
-  const fresh = (wanted: string): string => {
-    let made = wanted;
-    for (let n = 2; taken.has(made); n++) made = `${wanted}_${n}`;
-    taken.add(made);
-    return made;
-  };
+  const fresh = namer(taken);
   const inner: Connection[] = [];
   const outer: Connection[] = [];
   for (const [source, to] of d.connections) {
@@ -95,12 +90,7 @@ export function ungrouped(
     throw new EditFault(`${name} has a condition or a rate of its own, which its blocks would lose: remove it first`);
   }
   const sub = outer.item;
-  const used = new Set([...taken(d)].filter((one) => one !== name));
-  const free = (wanted: string): string => {
-    const made = nameBeside(used, wanted);
-    used.add(made);
-    return made;
-  };
+  const free = namer(new Set([...taken(d)].filter((one) => one !== name)));
   const names = new Map(sub.parts.map((part) => [part.name, free(part.name)]));
   const params = new Map(sub.params.map(declaredName).map((one) => [one, outer.params[one] ?? free(one)]));
   const lifted = sub.params.filter((one) => outer.params[declaredName(one)] === undefined);
@@ -163,14 +153,4 @@ export function ungrouped(
 
 function stem(source: string): string {
   return source.replace(/\./g, "_").slice(0, 56);
-}
-
-/** Return the declaration of an input like a port. */
-export function declared(name: string, port: Port): JsonObject {
-  return {
-    name,
-    ...(port.kind === "real" ? {} : { kind: port.kind }),
-    ...(port.width === null ? {} : { width: new Num(String(port.width)) }),
-    ...(port.unit === "" ? {} : { unit: port.unit }),
-  };
 }
