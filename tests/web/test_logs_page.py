@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 from tests.flightlog.test_ulog_file import px4_log
 from tests.lab.served import COMMAND, WATCH, Served, served
 from tests.patience import patiently
-from tests.web.conftest import OpenPage, picture, readable
+from tests.web.conftest import OpenPage, readable
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
@@ -252,9 +252,9 @@ def test_other_files_are_refused(logs_server: Served, open_page: OpenPage, tmp_p
 def test_a_damaged_log_can_be_deleted(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     damaged = flights / "flights" / "shot.mcap"
     damaged.write_bytes((flights / "flights" / FIRST).read_bytes()[:2000])
-    page = open_page(link(logs_server, f"/{damaged.name}"))
+    page = open_page(link(logs_server, f"/{damaged.name}"), expects=("422",))  # nothing can be recovered
     alert = page.locator("main").get_by_role("alert")
-    expect(alert).to_contain_text(f"{damaged.name} cannot be read")
+    expect(alert).to_contain_text(re.compile(f"{damaged.name} cannot be read.*It cannot be recovered"))
     expect(alert).not_to_contain_text(str(flights))
     expect(page.get_by_role("button", name="Download as")).to_have_count(1)
     expect(page.get_by_role("button", name="Download as .mcap")).to_be_enabled()
@@ -267,11 +267,19 @@ def test_a_cut_flight_is_recovered_where_it_is_opened(logs_server: Served, fligh
     whole = (flights / "flights" / FIRST).read_bytes()
     (flights / "flights" / "cut.mcap").write_bytes(whole[: 2 * len(whole) // 3])
     page = open_page(link(logs_server, "/cut.mcap"))
-    page.get_by_role("button", name="Recover what can be read").click()
     opened(page)
-    expect(page.get_by_label("Messages")).to_contain_text("samples are recovered")
+    expect(page.get_by_label("Messages")).to_contain_text(
+        re.compile(r"cut.mcap is cut \(the recording was not closed.*\d+ samples are kept in cut.recovered.mcap")
+    )
     assert "cut.recovered.mcap" in page.url
-    picture(page, "log-recovered")
+    expect(page.get_by_text("recovered from cut.mcap: the recording was not closed")).to_be_visible()
+    readable(page, "log-recovered")
+    page.go_back()
+    expect(page.locator("main").get_by_role("alert")).to_contain_text("cut.mcap cannot be read")
+    page.goto(link(logs_server, "/cut.mcap"))
+    page.reload()
+    expect(page.get_by_text("recovered from cut.mcap")).to_be_visible()
+    assert not (flights / "flights" / "cut.recovered-2.mcap").exists()
 
 
 def test_a_watcher_changes_nothing(logs_server: Served, open_page: OpenPage) -> None:

@@ -117,7 +117,8 @@ def flight_view(
     for a topic that the log lacks, and for a window in which nothing was logged.
     """
     span = _span(log, window)
-    notes: list[str] = []
+    told = log.provenance.get("recovered")
+    notes = [f"recovered from {told.get('from')!s:.80}: {told.get('what')!s:.400}"] if isinstance(told, dict) else []
     flown = _modes(log, span, notes)
     asked = list(topics)
     views = [_own(log, name, flown, span) for name in asked] if asked else _usual(log, flown, span, notes)
