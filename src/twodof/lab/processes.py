@@ -60,15 +60,16 @@ def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> N
 
     The first request comes when the process starts: only then its arguments may be events shared between processes.
     """
-    # Ctrl-C in the terminal is for the server. A session of its own for a job would get as much as a drone's program.
-    if background:
+    # Ctrl-C in the terminal is for the server. A session of its own gets as much as a drone's program: a flight needs
+    # it, and a job that computes must not have it.
+    if background and nice:
         os.setpgid(0, 0)
     else:
         os.setsid()
+    if not background:
         signal.signal(signal.SIGTERM, _end)
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    if nice:
-        os.nice(NICENESS)
+    os.nice(NICENESS * nice)
     with open(os.devnull, "w") as nothing:  # noqa: PTH123  the server's parent waits for the end of its output
         os.dup2(nothing.fileno(), 1)
         os.dup2(nothing.fileno(), 2)

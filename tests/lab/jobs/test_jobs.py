@@ -51,9 +51,9 @@ def sleeps(progress: Progress) -> None:
     time.sleep(1e6)
 
 
-def flies(progress: Progress) -> int:
-    """Keeps up with a drone; tells its niceness."""
-    return os.nice(0)
+def flies(progress: Progress) -> tuple[int, bool]:
+    """Keeps up with a drone; tells its niceness, and whether it has a session's share of a busy computer."""
+    return os.nice(0), os.getsid(0) == os.getpid()
 
 
 def with_jobs(work: Callable[[Jobs, list[Mapping[str, Any]]], Awaitable[None]]) -> None:
@@ -180,7 +180,7 @@ def test_jobs_wait_for_their_turn_up_to_a_bound() -> None:
         assert {job.text for job in started[at_once:]} == {"waits for its turn"}
         flight = jobs.start("flight", flies, in_real_time=True)  # what flies waits for none of them
         await until(lambda: flight.over)
-        assert flight.result == os.nice(0)
+        assert flight.result == [os.nice(0), True]
         assert (await jobs.cancel(started[-1].id)).state == "cancelled"  # before its turn
         await jobs.cancel(started[0].id)
         await until(lambda: started[at_once].text.isdigit())
