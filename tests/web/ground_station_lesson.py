@@ -35,7 +35,6 @@ def _build_an_excitation(page: Page, take: Take) -> None:
     dialog.get_by_label("Kind").select_option("impulse")
     for label, value in (("Amplitude", "0.1"), ("Width", "2"), ("Rest before", "0")):
         dialog.get_by_label(label).fill(value)
-    dialog.get_by_label("Rest before").press("Enter")
     expect(dialog.get_by_text("of 0.40 m")).to_be_visible(timeout=LONG_MS)
     take("excitation")
     dialog.get_by_role("button", name="Use this one").click()

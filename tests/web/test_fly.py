@@ -101,7 +101,6 @@ def test_an_excitation_is_built_and_previewed(lab_server: LabServer, open_page: 
     small = dialog.get_by_text("of 50 deg").inner_text()
     dialog.get_by_label("Amplitude").fill("25")
     dialog.get_by_label("Period").fill("3")
-    dialog.get_by_label("Period").press("Enter")
     expect(dialog.get_by_text("the failsafe would act")).to_be_visible()
     assert dialog.get_by_text("of 50 deg").inner_text() != small
     dialog.get_by_label("Amplitude").fill("70")
