@@ -51,7 +51,9 @@ def identify(
         ),
     ] = None,
     method: Annotated[FitMethod, option("Output error, or by hand as the paper does.")] = "grey-box",
-    model: Annotated[Model, option("Structure for the grey-box method; auto: the paper's.")] = "auto",
+    model: Annotated[
+        Model, option("Structure for the grey-box method; auto: the paper's, for an impulse with friction.")
+    ] = "auto",
     window: Annotated[
         tuple[float, float] | None, option("Stretch of the log, in seconds; default: found.", "T0 T1")
     ] = None,
@@ -87,7 +89,10 @@ def identify(
     ] = None,
     out: Annotated[Path | None, option("Write the model there as JSON, for `twodof design`.", "FILE")] = None,
     disturbance: Annotated[
-        Disturbance, option("White: output error; ar: coloured noise; input: gusts; auto: what the data ask.")
+        Disturbance,
+        option(
+            "White: output error; ar: coloured noise; input: gusts; innovation: predictor; auto: what the data ask."
+        ),
     ] = "auto",
     json: Json = False,
     force: Force = False,

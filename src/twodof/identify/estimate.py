@@ -23,6 +23,9 @@ _UNTOLD = 0.9
 _TOGETHER = 0.2
 """A sum is known this much better than its parts if the data show the parts only together."""
 
+_FEW = 10
+"""Samples beyond the unknowns below which the standard deviations are uncertain themselves."""
+
 _ALIKE = 0.98
 """Correlation from which on two unknowns are hardly told apart."""
 
@@ -42,7 +45,7 @@ class Estimate:
     `validation` compare model and data, one entry an output of a record. `prior` has mean and standard deviation of
     the estimated unknowns before the fit. It is part of the estimate and of its doubt. `gaps` says
     where inputs lost so many samples in a row that it is not known what was applied (`Record.gaps`). `offsets` names
-    inputs and outputs far from 0 that the model does not account for.
+    inputs and outputs far from 0 that the model does not account for, `suggestions` what else would explain the data.
     """
 
     structure: str
@@ -67,6 +70,7 @@ class Estimate:
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     gaps: tuple[str, ...] = ()
     offsets: tuple[str, ...] = ()
+    suggestions: tuple[str, ...] = ()
 
     def __getitem__(self, label: str) -> float:
         """Return the value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
@@ -165,6 +169,8 @@ class Estimate:
     def _compared(self, one: Comparison) -> str:
         """Say how well the model reproduces an output; in closed loop how well it predicts it, which is what counts."""
         place = f"{one.output} in '{one.record}'"
+        if self.disturbance.kind == "innovation":
+            return f"{place}: FIT {one.fit_percent:.2f} % one sample ahead, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
         if one.ahead is not None and self.disturbance.answering:
             return (
                 f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the gusts, "
@@ -240,16 +246,25 @@ def _on_search(found: Estimate) -> Iterator[str]:
     if not found.converged:
         yield "the search did not converge: give better first guesses or fix unknowns"
     yield from found.offsets
+    yield from found.suggestions
     for gap in found.gaps:
         yield f"{gap}: fit the pieces between (Record.pieces)"
     for label in found.at_bound:
         yield f"{label} is held by its bound: widen the bound or fix it"
     for name in found.at_rest:
         yield f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
-    if "xi" in found.labels and "xi" not in found.prior and found["xi"] < -found.sigma("xi"):
+    samples = sum(one.measured.size for one in found.identification)
+    unknowns = len(found.labels) + len(found.disturbance.gains)
+    if 0 < samples - unknowns < _FEW:
+        yield (
+            f"{samples} samples for {unknowns} unknowns are few: the standard deviations are themselves known to "
+            f"{100.0 / math.sqrt(2.0 * (samples - unknowns)):.0f} % only. Take a longer record"
+        )
+    if "xi" in found.labels and found["xi"] < 0.0:
+        sure = "xi" not in found.prior and found["xi"] < -found.sigma("xi")
         yield (
             "xi is negative, a swing that grows by itself: the record does not show the damping. "
-            "Hold w_n and xi at those of a free response"
+            + ("Hold w_n and xi at those of a free response" if sure else "Take its interval, which reaches above 0")
         )
 
 
@@ -307,7 +322,12 @@ def _on_residuals(found: Estimate) -> Iterator[str]:
             "controller does: coloured noise that is taken for white then makes the estimates wrong, not only unsure. "
             "Fit with disturbance='ar' (--disturbance ar)"
         )
-    if taken_for_white and noise.change > 0.0:
+    if taken_for_white and noise.change == math.inf:
+        yield (
+            "coloured noise would pass for the response itself, and the simulation miss the data by far: the structure "
+            "leaves out a part of the response, and output error is kept"
+        )
+    elif taken_for_white and noise.change > 0.0:
         yield (
             f"coloured noise would change an estimate by {noise.change:.0f} standard deviations, which in open loop it "
             "must not: the structure leaves out a part of the response, and output error is kept"
@@ -322,7 +342,8 @@ def _on_residuals(found: Estimate) -> Iterator[str]:
             )
     for one in found.identification:
         for name, test in one.inputs.items():
-            if not test.causal.passed:
+            # A controller's output answers the residual at once, which is not the structure's lack.
+            if not test.later(int(name in noise.answering)).passed:
                 yield (
                     f"the residual of {one.output} in '{one.record}' still depends on {name}: "
                     "the structure leaves out a part of the response"

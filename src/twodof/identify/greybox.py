@@ -18,12 +18,20 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance, uncertain_unknowns
-from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.disturbance.noise_search import Disturbed, check_disturbance, search
+from twodof.identify.disturbance.disturbance_model import Disturbance, DisturbanceModel, inputs_that_answer
+from twodof.identify.disturbance.innovation import (
+    can_predict,
+    first_gains,
+    gains_of,
+    is_unstable,
+    with_measured,
+    without_gains,
+)
+from twodof.identify.disturbance.noise_search import Disturbed, astray, check_disturbance, passes, search
 from twodof.identify.estimate import Estimate
-from twodof.identify.least_squares import LeastSquaresMinimum
+from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
-from twodof.identify.record import Record, check_record
+from twodof.identify.record import HOLDS, Record, check_record
 from twodof.identify.validate import Comparison, compare
 from twodof.models.structure import Structure, check_structure
 
@@ -35,6 +43,16 @@ _POOR = 80.0
 """FIT [%] below which an offset that the structure has no unknown for is named."""
 _COARSE_S = 0.1
 """Shortest step of a record whose time may be in another unit than seconds [s]."""
+_ASTRAY = 1.5
+"""Error of a simulation, over what moves in the output, that no right model makes."""
+_BETTER = 0.8
+"""Residual over the present one that makes a suggestion worth its words."""
+_ALIKE = 1.05
+"""Residual of an offset over that of the best one, up to which both are named."""
+_TRIES = 20
+"""Steps of the search that tries a suggestion."""
+_TURN = {"rad": 2.0 * math.pi, "rad/s": 35.0}
+"""A full turn, and the full scale of usual gyros, 2000 deg/s: no experiment comes there."""
 _UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
 
 
@@ -91,13 +109,24 @@ def fit(
         raise structure.error(what, "name each unknown once, and at least one")
     check_disturbance(disturbance, band is not None, bool(noise), where)
 
-    def posed(records: Sequence[Record]) -> Problem:
-        return Problem(structure, records, wanted, values or {}, bounds, _names(separate), band, prior)
+    def posed(records: Sequence[Record], more: Mapping[str, float] | None = None) -> Problem:
+        shape, given = structure, {**(values or {}), **(more or {})}
+        if structure.predictor is not None and set(more or ()) - set(structure.unknowns):
+            shape, records = structure.predictor, [with_measured(structure, record) for record in records]
+        return Problem(shape, records, (*wanted, *(more or ())), given, bounds, _names(separate), band, prior)
 
     problem = posed(several)
+    if problem.size + len(problem.known) <= len(problem.slots):
+        raise structure.error(
+            f"{problem.size} samples for {len(problem.slots)} unknowns leave none to judge the fit by",
+            "take a longer record, or fix unknowns (leave them out of `estimate`)",
+        )
     with _naming_the_unit_of_time(posed, several, where):
-        found = search(problem, _solve(problem, noise or {}), disturbance, bool(noise))
+        found = _found(problem, posed, disturbance, noise or {})
     minimum, jacobian = found.minimum, found.jacobian
+    if found.predictor is not None:
+        problem.sigma[:] = found.predictor[0].sigma
+    _check_followed(problem, found)
     labels = [slot.label for slot in problem.slots]
     free = np.flatnonzero(~minimum.at_bound)
     if free.size == 0:
@@ -109,6 +138,7 @@ def fit(
         moving = tuple(name for name in wanted if name not in structure.at_rest)
         left = np.array([i for i in free if problem.slots[i].unknown.name in moving], dtype=np.int64)
         if left.size == free.size or not left.size:
+            _check_stable(problem, found)
             raise
         check_identifiable(jacobian[:, left], problem.scale[left], [labels[i] for i in left], where)
         still = {name: 0.0 for name in wanted if name not in moving}
@@ -134,6 +164,10 @@ def fit(
         jacobian[:, known], found.prediction_error, problem.blocks, band is not None
     )
     compared = _comparisons(problem, minimum.x, found)
+    poor = any(one.fit_percent < _POOR for one in compared)
+    # In closed loop the input answers what the model leaves out, and a prediction has taken it up.
+    explained = bool(found.model.answering) or found.predictor is not None or band is not None
+    explained = explained or passes(problem, problem.residual(minimum.x))
     sigmas = dict(zip(problem.noise(), (problem.sigma * found.deviation).tolist(), strict=True))
     return Estimate(
         structure=structure.name,
@@ -148,7 +182,7 @@ def fit(
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition,
         identification=compared,
-        validation=_validation(problem, minimum.x, checked, like),
+        validation=_validation(problem, found, checked, like),
         iterations=minimum.iterations,
         converged=minimum.converged,
         domain="time domain" if band is None else f"frequency domain, {band[0]:g} to {band[1]:g} Hz",
@@ -156,8 +190,109 @@ def fit(
         disturbance=found.model,
         prior=problem.known,
         gaps=tuple(_gaps(structure, several)),
-        offsets=tuple(_offsets(problem, wanted, any(one.fit_percent < _POOR for one in compared))),
+        offsets=tuple(_offsets(problem, wanted, poor)),
+        suggestions=(*_in_degrees(problem), *(() if explained else _suggestions(problem, posed, minimum.x, poor))),
     )
+
+
+def _found(
+    problem: Problem,
+    posed: Callable[[Sequence[Record], Mapping[str, float] | None], Problem],
+    disturbance: Disturbance,
+    noise: Mapping[str, float],
+) -> Disturbed:
+    """Search by output error and its noise model, or by a predictor where that is asked for or the plant is unstable.
+
+    In open loop an unstable plant may be simulated. In closed loop its simulation runs away from the data.
+    """
+    structure, records = problem.structure, problem.records
+    able = problem.band is None and not noise and can_predict(structure, records)
+    if disturbance == "innovation":
+        found = _predicted(problem, posed) if able else None
+        if found is None:
+            raise structure.error(
+                "disturbance='innovation' needs a structure of linear_model, held inputs, outputs at each step and a "
+                "first guess with which the outputs show the states",
+                "take disturbance='ar', which any structure can have",
+            )
+        return found
+    able = able and disturbance == "auto"
+    minimum, failed = None, None
+    try:
+        minimum = _solve(problem, noise)
+        residual = problem.residual(minimum.x)
+        able = able and not passes(problem, residual)
+        able = able and (astray(problem, residual) or bool(inputs_that_answer(problem, residual)))
+    except IdentificationError as error:
+        failed = error
+    found = _predicted(problem, posed) if able else None
+    if found is not None and is_unstable(structure, problem.values(found.minimum.x, 0), records[0].dt):
+        return found
+    if minimum is None:
+        assert failed is not None
+        raise failed
+    return search(problem, minimum, disturbance, bool(noise))
+
+
+def _predicted(
+    problem: Problem, posed: Callable[[Sequence[Record], Mapping[str, float] | None], Problem]
+) -> Disturbed | None:
+    """Return the likeliest predictor from several first gains, with the gains' doubt in the sensitivities."""
+    tried = []
+    for gains in first_gains(problem.structure, problem.records[0], problem.values(problem.x0, 0)):
+        own = posed(problem.records, gains)
+        try:
+            minimum = _solve(own, {})
+        except IdentificationError:
+            continue
+        sizes = np.array([block.rows.stop - block.rows.start for block in own.blocks])
+        tried.append((float(sizes @ np.log(own.sigma)), own, minimum))
+    if not tried:
+        return None
+    _, own, minimum = min(tried, key=lambda one: one[0])
+    wanted, error = len(problem.slots), own.residual(minimum.x)
+    model = DisturbanceModel(
+        "innovation",
+        answering=inputs_that_answer(problem, error),
+        dt=problem.records[0].dt,
+        gains=gains_of(own, minimum.x),
+    )
+    return Disturbed(
+        replace(minimum, x=minimum.x[:wanted], at_bound=minimum.at_bound[:wanted]),
+        without_gains(own.central_jacobian(minimum.x), wanted),
+        error,
+        np.ones(len(own.blocks)),
+        model,
+        predictor=(own, minimum.x),
+    )
+
+
+def _check_followed(problem: Problem, found: Disturbed) -> None:
+    """Raise IdentificationError for a model whose outputs run away from the data."""
+    if found.model.answering and found.model.kind in ("ar", "input"):
+        return  # it is judged by what it predicts: the input answers pushes that a simulation knows nothing of
+    own, x = found.predictor or (problem, found.minimum.x)
+    if not astray(own, own.residual(x), _ASTRAY):
+        return
+    _check_stable(problem, found)
+    raise problem.structure.error(
+        "the model's outputs diverge from the data: their errors are larger than what moves there",
+        "; ".join(_offsets(problem, (), True))
+        or "choose other first guesses or another structure; an unstable plant in closed loop is predicted, not "
+        "simulated: describe it by linear_model",
+    )
+
+
+def _check_stable(problem: Problem, found: Disturbed) -> None:
+    """Raise IdentificationError for the simulation of an unstable linear model."""
+    structure, dt = problem.structure, problem.records[0].dt
+    if structure.predictor is None or found.predictor is not None:
+        return
+    if any(is_unstable(structure, problem.values(x, 0), dt) for x in (problem.x0, found.minimum.x)):
+        raise structure.error(
+            "the model is unstable, and its simulation diverges from the data whatever the unknowns are",
+            "take disturbance='innovation': a predictor corrects the states by what was measured",
+        )
 
 
 @contextmanager
@@ -207,6 +342,60 @@ def _offsets(problem: Problem, wanted: Collection[str], poor: bool) -> Iterator[
                 f"{' and '.join(text for text, _ in far)} in '{record.name}', far from 0, which the model does not "
                 f"account for: {', or '.join([*remedies, 'subtract the mean'])}"
             )
+
+
+def _in_degrees(problem: Problem) -> Iterator[str]:
+    """Yield outputs too large to be in radians."""
+    for k, block in enumerate(problem.blocks):
+        bias, peak = problem.structure.unknowns.get(f"{block.output}_bias"), np.abs(problem.measured(k)).max()
+        if bias is not None and peak > _TURN.get(bias.unit, math.inf):
+            yield (
+                f"{block.output} reaches {peak:.3g} {bias.unit} in '{problem.records[block.record].name}', more than "
+                "such a machine does: if it is in degrees, multiply it by pi/180"
+            )
+
+
+def _suggestions(
+    problem: Problem,
+    posed: Callable[[Sequence[Record], Mapping[str, float] | None], Problem],
+    x: Array,
+    poor: bool,
+) -> Iterator[str]:
+    """Yield the offset and the hold of inputs with which output error would leave much less of the data."""
+
+    def left(own: Problem) -> float:
+        own.sigma[:] = problem.sigma
+        start = np.append(x, own.x0[x.size :])
+        tried = minimise(own.residual, own.jacobian, start, own.lower, own.upper, iterations=_TRIES)
+        return math.sqrt(2.0 * tried.cost) if math.isfinite(tried.cost) else math.inf
+
+    structure, records, before = problem.structure, problem.records, left(problem)
+    names = [f"{one}_bias" for one in problem.outputs] + [f"{one}_trim" for one in structure.inputs]
+    free = {n for n in names if n in structure.unknowns and not problem.values(x, 0)[n]} - {
+        s.unknown.name for s in problem.slots
+    }
+    found = {name: left(posed(records, {name: 0.0})) for name in names if name in free} if poor else {}
+    best = min(found, key=lambda name: found[name], default="")
+    if best and found[best] < _BETTER * before:
+        alike = " or ".join(name for name, one in found.items() if one <= _ALIKE * found[best])
+        yield f"with {alike} the residual falls to {found[best] / before:.2g} of itself: estimate it too"
+    moving = [
+        name
+        for name in structure.inputs
+        if name not in structure.measured
+        and all(np.count_nonzero(np.diff(one.inputs[name])) > 0.5 * one.steps and not one.hold for one in records)
+    ]
+    held = {
+        hold: left(posed([replace(one, hold=dict.fromkeys(moving, hold)) for one in records], None))
+        for hold in HOLDS[1:]
+        if moving
+    }
+    best = min(held, key=lambda hold: held[hold], default="")
+    if best and held[best] < _BETTER * before:
+        yield (
+            f"{' and '.join(moving)} may move on between samples: with hold='{best}' the residual falls to "
+            f"{held[best] / before:.2g} of itself. Make the record with it (--hold {moving[0]}={best})"
+        )
 
 
 def _gaps(structure: Structure, records: Sequence[Record]) -> Iterator[str]:
@@ -278,7 +467,8 @@ def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> 
     tested = None if found is None or found.model.kind == "white" else found.prediction_error
     noise = {} if found is None else found.model.noise
     ahead = {k: noise.get(problem.noise_label(i)) for i, blocks in enumerate(problem.noises) for k in blocks}
-    simulated = [problem.simulate(x, r) for r in range(len(problem.records))]
+    own, at = (found.predictor if found is not None else None) or (problem, x)
+    simulated = [own.simulate(at, r) for r in range(len(problem.records))]
     compared = []
     for k, block in enumerate(problem.blocks):
         record, model = problem.records[block.record], ahead[k]
@@ -298,17 +488,21 @@ def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> 
     return tuple(compared)
 
 
-def _validation(problem: Problem, x: Array, records: Sequence[Record], like: str) -> tuple[Comparison, ...]:
+def _validation(problem: Problem, found: Disturbed, records: Sequence[Record], like: str) -> tuple[Comparison, ...]:
     """Simulate records that the fit did not use, with the values of record `like`; local unknowns are fitted."""
+    x = found.minimum.x
+    if found.predictor is not None:
+        records = [with_measured(problem.structure, record) for record in records]
+        problem, x = found.predictor
     names = [record.name for record in problem.records]
     if like and like not in names:
         raise IdentificationError(f"no record is called '{like}'", "validation", f"there are: {', '.join(names)}")
-    found: list[Comparison] = []
+    compared: list[Comparison] = []
     unknowns = problem.structure.unknowns
     values = problem.values(x, names.index(like) if like else len(names) - 1)
     shared = {name: value for name, value in values.items() if not unknowns[name].local}
     local = {slot.unknown.name for slot in problem.slots if slot.unknown.local}
     for record in records:
         own = Problem(problem.structure, [record], local, shared)
-        found.extend(_comparisons(own, _solve(own, {}).x if local else own.x0))
-    return tuple(found)
+        compared.extend(_comparisons(own, _solve(own, {}).x if local else own.x0))
+    return tuple(compared)

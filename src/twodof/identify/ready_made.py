@@ -1,7 +1,7 @@
 """Ready-made fits of the paper's experiments: structures by name, priors, and values held from earlier flights."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -40,6 +40,8 @@ FREE = 1e3
 """Play of a cart without rings [m]. Its modelled way drifts by metres in half a minute, and must meet no stop."""
 
 _REAL = "lab"
+_FRICTION = 0.7
+"""Residual with dry friction over that without, from which on the structure is named."""
 _MOVED_M = 0.1
 """The range sensor's noise stays within this in a flight with rings; a free cart moves three times as far [m]."""
 
@@ -249,6 +251,8 @@ def structure_for(experiment: str, name: str = AUTO) -> Structure:
     if name == AUTO and experiment == "attitude":
         return pitch_on_cart()
     if name == AUTO:
+        if experiment == "impulse":
+            return free_response()
         return rail(thrust=True) if experiment == "velocity" else pitch_rate(lag=experiment == "doublet")
     if name not in STRUCTURES:
         raise IdentificationError(f"no structure called {shown(name)}", "", f"there are: {', '.join(STRUCTURES)}")
@@ -349,4 +353,22 @@ def by_output_error(
     if len(found) > 1:
         fitted = list(records) if experiment == "attitude" else [one for piece in pieces for one in piece]
         return Repeated(tuple(record.name for record in records), tuple(found)), fitted
-    return found[0], [*pieces[0], *checked]
+    return (_with_friction(found[0], pieces[0]) if experiment == "impulse" else found[0]), [*pieces[0], *checked]
+
+
+def _with_friction(found: Estimate, records: Sequence[Record]) -> Estimate:
+    """Return the fit of a free response, with a suggestion where dry friction explains it better."""
+    if "coulomb" in (*found.labels, *found.fixed):
+        return found
+    try:
+        other = fit(free_response(), records, disturbance="white")
+    except IdentificationError:
+        return found
+    before, after = (sum(one.rmse for one in both.identification) for both in (found, other))
+    if not after < _FRICTION * before:
+        return found
+    said = (
+        f"dry friction explains the free response: the residual falls from {before:.2g} to {after:.2g} rad/s with the "
+        "structure free-response (--model free-response)"
+    )
+    return replace(found, suggestions=(*found.suggestions, said))

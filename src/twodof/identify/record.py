@@ -23,6 +23,13 @@ MAX_STEPS = 1_000_000
 GAP = 3
 """Samples lost in a row from which on it is not known what an input did meanwhile. Fewer do little harm."""
 
+_JITTERY = 0.05
+"""Standard deviation of the stamps about the grid [steps] from which on an input moves within steps."""
+
+_JITTER, _FEW_LOST, _FOLLOWED = 0.3, 0.05, 0.1
+"""Jitter [steps] from which on stamps are counted one by one; share of lost samples that may pass for another step; and
+how far the clock follows each stamp."""
+
 SHORTEST_PIECE = 10
 """Steps of a piece between two gaps that is kept."""
 
@@ -138,11 +145,13 @@ class Record:
 
         The grid is that of the first input: its step is the mean of its regular intervals unless `dt` is given, its
         phase fits all its stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
-        jitter forgiven. Inputs named in `smooth` are samples of a signal that moves on between them, such as a measured
-        pitch. Of those, step k takes the value half-way to the next step, interpolated linearly. Outputs keep their
-        stamps. A channel may have gaps; the inputs hold across them (see `gaps` and `pieces`). `hold`: how inputs
-        behave between samples, one of HOLDS for all or by input (see `Record`). An input that is not held has at step k
-        its value at that time, interpolated linearly between its stamps; simulations then move it on between the steps.
+        jitter forgiven. Where the stamps of the first input jitter by a twentieth of a step and more, step k takes the
+        mean over the step of that input, and of those with the same stamps. Inputs named in `smooth` are samples of a
+        signal that moves on between them, such as a measured pitch. Of those, step k takes the value half-way to the
+        next step, interpolated linearly. Outputs keep their stamps. A channel may have gaps; the inputs hold across
+        them (see `gaps` and `pieces`). `hold`: how inputs behave between samples, one of HOLDS for all or by input (see
+        `Record`). An input that is not held has at step k its value at that time, interpolated linearly between its
+        stamps; simulations then move it on between the steps.
         Raises IdentificationError for a missing channel, NaN, time that does not increase, an empty window.
         """
         if not inputs or not outputs:
@@ -168,6 +177,8 @@ class Record:
             raise IdentificationError(
                 f"{steps} steps of {step:g} s", f"record '{name}'", f"give a window of at most {MAX_STEPS} steps"
             )
+        late = (clock - origin) / step
+        jittery = float(np.std(late - np.round(late))) > _JITTERY
         held, gaps = {}, {}
         for channel in inputs:
             time, value = checked[channel]
@@ -177,16 +188,18 @@ class Record:
             latest = np.searchsorted(time, middle, side="left") - 1
             if channel in smooth:
                 held[channel] = np.interp(middle, time, value)
-            elif latest[0] < 0:
+            elif latest[0] < 0 and time[0] > middle[0] + step:
                 raise IdentificationError(
                     f"no sample at or before the window's start {origin:g} s",
                     f"record '{name}', channel '{channel}'",
                     "start the window later",
                 )
-            elif holds.get(channel, "zoh") == "zoh":
-                held[channel] = value[latest]
-            else:
+            elif holds.get(channel, "zoh") != "zoh":
                 held[channel] = np.interp(origin + step * np.arange(steps), time, value)
+            elif jittery and np.array_equal(time, checked[inputs[0]][0]):
+                held[channel] = _means(time, value, origin + step * np.arange(steps + 1))
+            else:
+                held[channel] = value[np.maximum(latest, 0)]
         measured = {}
         for channel in outputs:
             time, value = checked[channel]
@@ -328,7 +341,7 @@ def _grid(clock: Array, dt: float | None) -> tuple[float, float]:
     """Step and phase of the uniform grid that fits the stamps; gaps count as the whole steps they are."""
     interval = np.diff(clock)
     rough = float(np.median(interval)) if dt is None else dt
-    count = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.round(interval / rough)))])
+    count = _counted(clock, interval, rough)
     if dt is not None:
         return dt, float(np.mean(clock - dt * count))
     centred = count - count.mean()
@@ -338,3 +351,31 @@ def _grid(clock: Array, dt: float | None) -> tuple[float, float]:
     if np.abs(clock - clock[0] - exact * count).max() < 1e-9:
         return exact, float(clock[0])
     return step, float(clock.mean() - step * count.mean())
+
+
+def _means(time: Array, value: Array, edges: Array) -> Array:
+    """Return the mean of held samples between each two `edges` [s]."""
+    stamps = np.append(time, max(float(edges[-1]), float(time[-1])))
+    total = np.concatenate([[0.0], np.cumsum(value * np.diff(stamps))])
+    before = np.minimum(edges - stamps[0], 0.0) * value[0]
+    return np.asarray(np.diff(np.interp(edges, stamps, total) + before) / np.diff(edges))
+
+
+def _counted(clock: Array, interval: Array, step: float) -> Array:
+    """Return the number of each stamp in steps of `step` [s], lost ones counted.
+
+    Where stamps jitter by a third of a step, each is counted from where the clock is expected and not from the stamp
+    before, as the mistakes would add up.
+    """
+    whole = np.maximum(1.0, np.round(interval / step))
+    if np.abs(interval / step - whole).max() < _JITTER:
+        return np.concatenate([[0.0], np.cumsum(whole)])
+    mean = float(interval.mean())
+    step = mean if abs(mean - step) < _FEW_LOST * step else step
+    expected, counts = float(clock[0]), [0.0]
+    for stamp in clock[1:].tolist():
+        passed = max(1.0, round((stamp - expected) / step))
+        expected += passed * step
+        expected += _FOLLOWED * (stamp - expected)
+        counts.append(counts[-1] + passed)
+    return np.array(counts)

@@ -12,6 +12,8 @@ from twodof.errors import IdentificationError, is_number, shown
 Array = NDArray[np.float64]
 
 _WANDERING_LAGS, _WANDERING = 10, 0.15
+_ROUNDING = 1e-11
+"""Residual over the signal that an exact model of data without noise leaves."""
 
 
 def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> float:
@@ -67,7 +69,11 @@ class Correlation:
     @property
     def causal(self) -> "Correlation":
         """The same at lags >= 0 only, at which the residual follows the input."""
-        later = self.lags >= 0
+        return self.later(0)
+
+    def later(self, first: int) -> "Correlation":
+        """Return the same from the lag `first` on."""
+        later = self.lags >= first
         return Correlation(self.lags[later], self.value[later], self.bound[later], self.level)
 
 
@@ -119,6 +125,11 @@ def cross_correlation(residual: ArrayLike, applied: ArrayLike, lags: int = 25, l
     total = ree[0] * ruu[0] + 2.0 * float(ree[1 : reach + 1] @ ruu[1 : reach + 1])
     width = deviations(level) * math.sqrt(max(total, 1.0) / n)
     return Correlation(np.arange(-lags, lags + 1), value, np.full(2 * lags + 1, width), level)
+
+
+def is_rounding(residual: Array, measured: Array) -> bool:
+    """Return True if a residual is no more than the rounding of an exact model."""
+    return float(np.abs(residual).max()) <= _ROUNDING * float(np.abs(measured).max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +207,7 @@ def compare(
     """
     error = measured - simulated if prediction_error is None else prediction_error
     long_enough = measured.size >= 4 * lags and float(np.ptp(error)) > 0.0
+    long_enough &= not is_rounding(measured - simulated, measured)
     return Comparison(
         record,
         output,

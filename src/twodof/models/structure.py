@@ -57,6 +57,8 @@ class Structure:
     `prior` gives (mean, standard deviation) of unknowns that are roughly known before a flight.
     `measured` names inputs that are measurements of the motion itself, such as a pitch that pushes a cart. A frequency
     response from them has no meaning.
+    `predictor` is the model in innovation form, if it has one: its inputs are also the measured outputs, as
+    "<output>_measured", and its last unknowns the gains "K_i_j" with which they correct the states.
     Raises IdentificationError for a name that is not a parameter of the diagram.
     """
 
@@ -70,6 +72,7 @@ class Structure:
     delay: str = ""
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     measured: tuple[str, ...] = ()
+    predictor: "Structure | None" = None
 
     def __post_init__(self) -> None:
         parts = [part for sum_of in self.sums.values() for part in sum_of]
@@ -241,21 +244,37 @@ def linear_model(
             )
     limits = {one: (bounds or {}).get(one, (-math.inf, math.inf)) for one in unknowns}
     params = [Param(one, float(guess[one]), low=limits[one][0], high=limits[one][1]) for one in unknowns]
-    block = _LinearModel(a, b, c, feed, inputs, outputs, params, discrete)
+    plain, corrected = (
+        _LinearModel(a, b, c, feed, inputs, outputs, params, discrete, gains) for gains in (False, True)
+    )
+    gains = tuple(gain for row in corrected.gains for gain in row)
+    predictor = Structure(_around(corrected, name), (*unknowns, *states, *gains), local)
+    return Structure(_around(plain, name), (*unknowns, *states), local, predictor=predictor)
+
+
+def _around(block: "_LinearModel", name: str) -> Diagram:
+    """Return the diagram of a linear model between trims and biases."""
     diagram = Diagram(name)
     for param in block.params:
         diagram.param(param.name, float(param.value), low=param.low, high=param.high)
     diagram.add("model", block, params={param.name: param.name for param in block.params})
-    for one in inputs:
+    for port in block.inputs[: block.applied]:
+        one = port.name
         diagram.input(one)
         diagram.param(f"{one}_trim", 0.0, text=f"constant part of {one} that moves nothing")
         diagram.add(f"trim_{one}", Offset("", -1.0), params={"offset": f"{one}_trim"}, u=one)
         diagram.connect(f"trim_{one}", f"model.{one}")
-    for one in outputs:
+    for port in block.outputs:
+        one = port.name
         diagram.param(f"{one}_bias", 0.0, text=f"bias of the measured {one}")
         diagram.add(f"bias_{one}", Offset(""), params={"offset": f"{one}_bias"}, u=f"model.{one}")
         diagram.output(one, f"bias_{one}")
-    return Structure(diagram, (*unknowns, *states), local)
+    for port in block.inputs[block.applied :]:
+        bias = port.name.removesuffix("_measured") + "_bias"
+        diagram.input(port.name)
+        diagram.add(f"unbiased_{port.name}", Offset("", -1.0), params={"offset": bias}, u=port.name)
+        diagram.connect(f"unbiased_{port.name}", f"model.{port.name}")
+    return diagram
 
 
 def _length(rows: Any) -> int:
@@ -264,7 +283,10 @@ def _length(rows: Any) -> int:
 
 
 class _LinearModel(Block):
-    """Block of a linear model; the unknowns in its matrices are its parameters."""
+    """Block of a linear model; the unknowns in its matrices are its parameters.
+
+    With `gains` the measured outputs are inputs too, and K (y - C x - D u) is added to the states (innovation form).
+    """
 
     def __init__(
         self,
@@ -276,12 +298,17 @@ class _LinearModel(Block):
         outputs: Sequence[str],
         params: Sequence[Param],
         discrete: bool,
+        gains: bool,
     ) -> None:
         self.a, self.b, self.c, self.d, self.discrete = a, b, c, d, discrete
-        self.inputs = tuple(Port(name) for name in inputs)
+        measured = [f"{name}_measured" for name in outputs] if gains else []
+        self.gains = [[f"K_{i + 1}_{j + 1}" for j in range(len(measured))] for i in range(len(a))]
+        self.applied = len(inputs)
+        self.inputs = tuple(Port(name) for name in (*inputs, *measured))
         self.outputs = tuple(Port(name) for name in outputs)
         self.names = [f"x{i + 1}" for i in range(len(a))]
-        self.params = (*params, *(Param(f"{name}_0", text=f"{name} at the start") for name in self.names))
+        starts = (Param(f"{name}_0", text=f"{name} at the start") for name in self.names)
+        self.params = (*params, *starts, *(Param(gain) for row in self.gains for gain in row))
         self.states = tuple(State(name, f"{name}_0") for name in self.names)
         self.derived = (
             *(Port(f"phi_{i}_{j}") for i in range(len(a)) for j in range(len(a))),
@@ -303,19 +330,22 @@ class _LinearModel(Block):
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """Return C x + D u."""
         c, d = _numbers(self.c, p), _numbers(self.d, p)
-        state, inputs = [x[name] for name in self.names], [u[port.name] for port in self.inputs]
+        state, inputs = [x[name] for name in self.names], [u[port.name] for port in self.inputs[: self.applied]]
         return {
             port.name: total([*map(times, c[i], state), *map(times, d[i], inputs)])
             for i, port in enumerate(self.outputs)
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Return Phi x + Gamma u."""
+        """Return Phi x + Gamma u, and K times the innovation."""
+        predicted = self.output(u, x, p, t) if self.gains[0] else {}
+        innovation = [u[f"{name}_measured"] - one for name, one in predicted.items()]
         return {
             name: total(
                 [
                     *(p[f"phi_{i}_{j}"] * x[other] for j, other in enumerate(self.names)),
-                    *(p[f"gamma_{i}_{j}"] * u[port.name] for j, port in enumerate(self.inputs)),
+                    *(p[f"gamma_{i}_{j}"] * u[port.name] for j, port in enumerate(self.inputs[: self.applied])),
+                    *(p[gain] * error for gain, error in zip(self.gains[i], innovation, strict=True)),
                 ]
             )
             for i, name in enumerate(self.names)

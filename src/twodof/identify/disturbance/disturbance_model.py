@@ -15,8 +15,8 @@ from twodof.identify.problem import Problem
 
 Array = NDArray[np.float64]
 
-Disturbance = Literal["auto", "white", "ar", "input"]
-KINDS: tuple[Disturbance, ...] = ("auto", "white", "ar", "input")
+Disturbance = Literal["auto", "white", "ar", "input", "innovation"]
+KINDS: tuple[Disturbance, ...] = ("auto", "white", "ar", "input", "innovation")
 
 # Clocks of one machine differ by some parts in a thousand.
 _SAME = 0.01
@@ -26,14 +26,16 @@ _SAME = 0.01
 class DisturbanceModel:
     """The noise model of an estimate.
 
-    `kind` is "white", "ar" or "input". `noise` gives each output's autoregression in the output's unit, for samples
-    `dt` [s] apart. Its keys are the outputs, or "output[record]" with several records, of which the pieces of a flight
-    are one. It is empty for white noise.
+    `kind` is "white", "ar", "input" or "innovation". `noise` gives each output's autoregression in the output's unit,
+    for samples `dt` [s] apart. Its keys are the outputs, or "output[record]" with several records, of which the pieces
+    of a flight are one. It is empty for white noise.
     `gusts` has, by the same names, the pushes at the input of the kind "input". `louder` has the noises that are louder
     after an input has moved. `answering` names the
     inputs that answer the noise, as a controller's output does (closed loop). `change` says by how many of its standard
     deviations the noise model would have changed an estimate. If it is not 0, "auto" stayed with white noise for this
-    reason. In open loop only a structure that leaves something out causes such a change.
+    reason. In open loop only a structure that leaves something out causes such a change. It is infinite if the noise
+    model had taken the response itself for noise. `gains` are those of the kind
+    "innovation", with which a predictor corrects its states (`Structure.predictor`).
     """
 
     kind: Disturbance = "white"
@@ -43,6 +45,7 @@ class DisturbanceModel:
     gusts: Mapping[str, Gust] = field(default_factory=dict)
     dt: float = 0.0
     louder: Mapping[str, NoiseIncrease] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, output: str, dt: float) -> Autoregression | None:
         """Return the noise of `output` for a flight with samples `dt` [s] apart; None if it is white.
@@ -71,6 +74,9 @@ class DisturbanceModel:
         """One line for a table."""
         if self.kind == "white":
             return "white noise at the outputs"
+        if self.kind == "innovation":
+            gains = ", ".join(f"{name} {value:.3g}" for name, value in self.gains.items())
+            return f"noise at the states and the outputs, which a predictor corrects with gains {gains}"
         if self.kind == "input":
             pushes = ", ".join(
                 f"{label}: standard deviation {one.std:.2g}, correlation time {one.correlation_time:.2g} s"
@@ -92,6 +98,7 @@ class DisturbanceModel:
             "gusts": {label: asdict(one) for label, one in self.gusts.items()},
             "louder": {label: asdict(one) for label, one in self.louder.items()},
             "answering_inputs": list(self.answering),
+            "gains": dict(self.gains),
             "noise": {
                 label: {"order": model.order, "coefficients": model.coefficients.tolist(), "sigma": model.sigma}
                 for label, model in self.noise.items()

@@ -13,7 +13,7 @@ from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, Di
 from twodof.identify.disturbance.gust import GustModel, can_be_pushed
 from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
-from twodof.identify.validate import whiteness
+from twodof.identify.validate import is_rounding, whiteness
 
 Array = NDArray[np.float64]
 
@@ -45,13 +45,17 @@ _STILL = 0.05
 _MUCH = 5.0
 _LOWER = 0.01
 
+_WORSE = 3.0
+"""Residual over that of output error from which on coloured noise has taken the response itself for noise. A gust is
+found with one correlation time, and may not leave more than what moves."""
+
 
 @dataclass(frozen=True, eq=False)
 class Disturbed:
     """The end of a search: x, its sensitivities and prediction errors over the noise, and the noise model.
 
     `deviation` is the standard deviation of the residual of each block of rows, in units of its weight. `cost` compares
-    searches of one kind.
+    searches of one kind. `predictor` is the problem of the innovation form and its x, where that is the noise model.
     """
 
     minimum: LeastSquaresMinimum
@@ -60,13 +64,14 @@ class Disturbed:
     deviation: Array
     model: DisturbanceModel
     cost: float = 0.0
+    predictor: tuple[Problem, Array] | None = None
 
 
 def check_disturbance(disturbance: Disturbance, banded: bool, noise_given: bool, where: str) -> None:
-    """Raise IdentificationError for an unknown noise model, and for "ar" or "input" with a given band or noise."""
+    """Raise IdentificationError for an unknown noise model, and for one that is asked for with a band or noise."""
     if disturbance not in KINDS:
         raise IdentificationError(f"no disturbance {disturbance!r:.80}", where, f"there are: {', '.join(KINDS)}")
-    if disturbance in ("ar", "input") and (banded or noise_given):
+    if disturbance not in ("auto", "white") and (banded or noise_given):
         what = "a band: a noise model needs all frequencies"
         what = what if banded else "given standard deviations: the noise model finds its own"
         raise IdentificationError(f"disturbance='{disturbance}' with {what}", where, "leave one of the two out")
@@ -86,7 +91,7 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
     """
     residual, jacobian = problem.residual(minimum.x), problem.central_jacobian(minimum.x)
     white = Disturbed(minimum, jacobian, residual, np.ones(len(problem.blocks)), DisturbanceModel())
-    passed = problem.band is not None or _passes(problem, white.prediction_error)
+    passed = problem.band is not None or passes(problem, white.prediction_error)
     if passed:
         return white if disturbance in ("auto", "white") else _asked(problem, minimum, disturbance, ())
     answering = inputs_that_answer(problem, white.prediction_error)
@@ -134,12 +139,23 @@ def _settled(problem: Problem, white: Disturbed, found: Disturbed) -> Disturbed:
         return white
     if not white.model.answering:
         change = _change(problem, white, found)
+        coloured = found.model.kind == "ar"
+        if coloured and _far_worse(problem, found.minimum.x, white.minimum.x):
+            change = math.inf
+        if not coloured and astray(problem, problem.residual(found.minimum.x)):
+            change = math.inf
         if change > _MUCH:
             better = _better(problem, white.minimum, found.minimum.x)
             if better is not None:
                 return search(problem, better, "auto", False)
             return replace(white, model=DisturbanceModel(change=change))
     return found
+
+
+def _far_worse(problem: Problem, x: Array, white: Array) -> bool:
+    """Return True if the simulation at x misses the data by far more than that of output error's estimate `white`."""
+    left, least = problem.residual(x), problem.residual(white)
+    return not float(left @ left) <= _WORSE**2 * float(least @ least)
 
 
 def _better(problem: Problem, minimum: LeastSquaresMinimum, x: Array) -> LeastSquaresMinimum | None:
@@ -238,7 +254,10 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
     coloured = ColouredProblem(problem)
     # The output error's optimum may be far off in closed loop, the first guess in open loop.
     found = [coloured.minimise(start) for start in (minimum.x, problem.x0)]
-    costs = [coloured.cost(one.x) if math.isfinite(one.cost) else math.inf for one in found]
+    # In open loop the noise may not swallow the response: a swing that dies out is also an autoregression's.
+    right = [math.isfinite(one.cost) and bool(answering or not _far_worse(problem, one.x, minimum.x)) for one in found]
+    usable = right if any(right) else [math.isfinite(one.cost) for one in found]
+    costs = [coloured.cost(one.x) if use else math.inf for one, use in zip(found, usable, strict=True)]
     best = found[int(np.argmin(costs))]
     coloured.choose(best.x)
     for _ in range(_LISTENS):
@@ -316,8 +335,18 @@ def _doubt(jacobian: Array) -> float:
     return float(np.log(np.maximum(np.diag(covariance(jacobian)), 1e-300)).sum())
 
 
-def _passes(problem: Problem, residual: Array) -> bool:
-    """Return True if the residual of each output that is long enough for the test is white."""
-    rows = [residual[block.rows] for block in problem.blocks]
-    tested = [own for own in rows if own.size >= 4 * _LAGS and float(np.ptp(own)) > 0.0]
-    return all(whiteness(own, _LAGS).passed for own in tested)
+def passes(problem: Problem, residual: Array) -> bool:
+    """Return True if the residual of each output that is long enough for the test is white, or rounding."""
+    for k, block in enumerate(problem.blocks):
+        own = residual[block.rows]
+        tested = own.size >= 4 * _LAGS and float(np.ptp(own)) > 0.0
+        if tested and not is_rounding(own * problem.sigma[k], problem.measured(k)) and not whiteness(own, _LAGS).passed:
+            return False
+    return True
+
+
+def astray(problem: Problem, residual: Array, times: float = 1.0) -> bool:
+    """Return True if the residual is more than `times` what moves in an output of a record, or not finite."""
+    left = (_deviation(problem, residual) * problem.sigma).tolist()
+    moves = [float(problem.measured(k).std()) for k in range(len(left))]
+    return any(own > 0.0 and not error <= times * own for error, own in zip(left, moves, strict=True))

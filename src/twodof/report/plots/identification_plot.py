@@ -288,6 +288,15 @@ def _draw_test(ax: Axes, name: str, test: Correlation | None, colours: Colours) 
     ax.set_title(f"{word} the 99 % band", fontsize=9, color=colours[title], loc="right")
 
 
+def _phase_deg(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Return the unwrapped phase, on the branch that lies below 180 degrees at the highest frequency.
+
+    A damping that is estimated below 0 raises the phase at the resonance instead of lowering it.
+    """
+    phase = np.degrees(np.unwrap(np.angle(response)))
+    return np.asarray(phase - 360.0 * max(0.0, np.ceil((phase[-1] - 180.0) / 360.0)))
+
+
 def _draw_bode(top: Axes, below: Axes, bode: _Bode, units: tuple[str, str], colours: Colours) -> None:
     input, output, model, measured = bode
     for ax in (top, below):
@@ -303,7 +312,7 @@ def _draw_bode(top: Axes, below: Axes, bode: _Bode, units: tuple[str, str], colo
         top.errorbar(omega, abs(response), yerr=abs(response) * np.array([low, share]), label="measured, 95 %", **look)
         phase = np.degrees(np.unwrap(np.angle(response)))
         if model is not None:  # on the model's branch
-            near = np.interp(omega, model.omega, np.degrees(np.unwrap(np.angle(model.response))))
+            near = np.interp(omega, model.omega, _phase_deg(model.response))
             phase += 360.0 * np.round((near - phase) / 360.0)
         below.errorbar(omega, phase, yerr=np.degrees(np.minimum(share, math.pi)), **look)
     if model is not None:
@@ -311,7 +320,7 @@ def _draw_bode(top: Axes, below: Axes, bode: _Bode, units: tuple[str, str], colo
         # Where the damping may be 0 the band at the resonance has no end: drawn whole it would flatten all else.
         gain = abs(model.response)
         low, high = np.maximum(low, gain / _UNTOLD), np.minimum(high, gain * _UNTOLD)
-        phase = np.degrees(np.unwrap(np.angle(model.response)))
+        phase = _phase_deg(model.response)
         half = np.minimum(np.degrees(1.96 * model.phase_sigma), 180.0)
         line: Any = {"color": colours["grey-box"], "linewidth": 1.4}
         for ax, lower, upper in ((top, low, high), (below, phase - half, phase + half)):

@@ -1,0 +1,256 @@
+"""Small sets of data that a fit may get wrong: unstable, drifting, jittered, short, offset and mis-scaled ones."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from twodof.identify import Estimate, Record, fit
+from twodof.identify.ready_made import AUTO, by_output_error, structure_for
+from twodof.models.structure import Structure, linear_model
+from twodof.models.structures import pitch_rate
+
+Array = NDArray[np.float64]
+
+
+def held(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
+    """Return Phi and Gamma of a step over which the input is held."""
+    n = a.shape[0]
+    both = expm(dt * np.block([[a, b], [np.zeros((1, n + 1))]]))
+    return both[:n, :n], both[:n, n:]
+
+
+def simulated(
+    a: ArrayLike,
+    b: ArrayLike,
+    applied: Array,
+    dt: float,
+    *,
+    feedback: float | ArrayLike = 0.0,
+    noise: float = 0.0,
+    push: float = 0.0,
+    start: float = 0.0,
+    seed: int = 1,
+) -> tuple[Array, Array]:
+    """Return input and measured first state of x' = A x + B (u + push), with u = `applied` - `feedback` x measured."""
+    a, b = np.atleast_2d(np.asarray(a, dtype=float)), np.asarray(b, dtype=float).reshape(-1, 1)
+    phi, gamma = held(a, b, dt)
+    rng = np.random.default_rng(seed)
+    x, u, y = np.zeros(a.shape[0]), np.zeros(applied.size), np.zeros(applied.size)
+    x[0] = start
+    gains, before = np.atleast_1d(np.asarray(feedback, dtype=float)), 0.0
+    for k in range(applied.size):
+        y[k] = x[0] + noise * rng.standard_normal()
+        rates = np.array([y[k], (y[k] - before) / dt])[: gains.size]
+        u[k], before = applied[k] - float(gains @ rates), y[k]
+        x = phi @ x + gamma[:, 0] * (u[k] + push * rng.standard_normal())
+    return u, y
+
+
+def switching(steps: int, hold: int = 10, size: float = 1.0, seed: int = 2) -> Array:
+    """Return a random binary signal that stays for `hold` steps."""
+    signs = np.random.default_rng(seed).choice([-size, size], -(-steps // hold))
+    return np.repeat(signs, hold)[:steps]
+
+
+def motor(a: float = -1.0, b: float = 1.0) -> Structure:
+    """Return y' = a y + b u with a first guess."""
+    return linear_model([["a"]], [["b"]], [[1]], inputs=["u"], outputs=["y"], guess={"a": a, "b": b})
+
+
+def spring(**guess: float) -> Structure:
+    """Return y'' = -k y - d y' + g u with a first guess."""
+    guess = {"k": 30.0, "d": 1.0, "g": 40.0} | guess
+    return linear_model([[0, 1], ["-k", "-d"]], [[0], ["g"]], [[1, 0]], inputs=["u"], outputs=["y"], guess=guess)
+
+
+MOTOR = {"a": -2.0, "b": 3.0}
+SPRING = {"k": 40.0, "d": 1.5, "g": 60.0}
+DT = 0.02
+
+
+def motor_data(steps: int = 400, noise: float = 0.02, seed: int = 1) -> tuple[Array, Array, Array]:
+    """Return time, input and output of the motor."""
+    u, y = simulated(MOTOR["a"], [MOTOR["b"]], switching(steps), DT, noise=noise, seed=seed)
+    return DT * np.arange(steps), u, y
+
+
+def spring_data(steps: int = 400, noise: float = 0.02, seed: int = 1) -> tuple[Array, Array, Array]:
+    """Return time, input and output of the spring."""
+    u, y = simulated([[0, 1], [-40, -1.5]], [0, 60], switching(steps), DT, noise=noise, seed=seed)
+    return DT * np.arange(steps), u, y
+
+
+def record(time: ArrayLike, u: ArrayLike, y: ArrayLike, **options: Any) -> Record:
+    """Return a record of the columns."""
+    return Record.from_columns(time, {"u": u, "y": y}, ["u"], ["y"], **options)
+
+
+def unstable(a: float, gain: float, steps: int = 400, dt: float = 0.01, **options: Any) -> Record:
+    """Return a record of y' = a y + u, held by u = -gain y."""
+    u, y = simulated(a, [1.0], switching(steps), dt, feedback=gain, noise=0.01, **options)
+    return record(dt * np.arange(steps), u, y)
+
+
+def inverted(push: float = 0.0, steps: int = 600) -> Record:
+    """Return a record of y'' = 30 y - y' + 50 u, held by proportional and differential feedback."""
+    a = [[0.0, 1.0], [30.0, -1.0]]
+    u, y = simulated(a, [0, 50], 0.3 * switching(steps, 15), 0.01, feedback=[3.0, 0.3], noise=2e-3, push=push)
+    return record(0.01 * np.arange(steps), u, y)
+
+
+def drift(steps: int, deviation: float, seed: int = 5) -> Array:
+    """Return a random walk."""
+    return deviation * np.cumsum(np.random.default_rng(seed).standard_normal(steps))
+
+
+def jittered(jitter: float, steps: int = 400, seed: int = 0) -> Record:
+    """Return a motor's record at 10 ms whose stamps jitter by this deviation [s]; the input moves at the stamps."""
+    rng = np.random.default_rng(seed)
+    when = np.unique(np.round(10 * np.arange(steps) + 1e3 * jitter * rng.standard_normal(steps))).astype(int)
+    when -= when[0]
+    u = switching(when.size, 40)
+    _, y = simulated(MOTOR["a"], [MOTOR["b"]], np.repeat(u[:-1], np.diff(when)), 1e-3)
+    return record(1e-3 * when[:-1], u[:-1], y[when[:-1]] + 0.02 * rng.standard_normal(when.size - 1))
+
+
+def pendulum(dry: float, steps: int = 2500, damping: float = 0.03) -> Record:
+    """Return a free response to an impulse of M of a pendulum with dry friction [rad/s2]."""
+    dt, inner = 0.004, 10
+    rng = np.random.default_rng(3)
+    moment = np.zeros(steps)
+    moment[50:100] = 0.05
+    theta, q, seen = 0.0, 0.0, np.zeros(steps)
+    for k in range(steps):
+        seen[k] = q
+        for _ in range(inner):
+            drive = 250.0 * moment[k] - 2.81**2 * theta - 2.0 * damping * 2.81 * q
+            if q == 0.0 and abs(drive) <= dry:
+                continue
+            more = q + dt / inner * (drive - dry * np.sign(q or drive))
+            q = 0.0 if q * more < 0.0 else more
+            theta += dt / inner * q
+    seen += 0.02 * rng.standard_normal(steps)
+    return Record.from_columns(dt * np.arange(steps), {"M": moment, "q": seen}, ["M"], ["q"], name="impulse")
+
+
+def smooth_input(hold: str = "zoh") -> Record:
+    """Return a record of a fast spring behind an anti-alias filter: the input moves on between its samples."""
+    inner, steps = 20, 600
+    rng = np.random.default_rng(4)
+    lines = rng.uniform(1.0, 18.0, 30)
+    fine = DT / inner * np.arange(inner * steps)
+    u = np.sin(2 * np.pi * np.outer(fine, lines) + rng.uniform(0, 6, 30)).sum(axis=1) / 5.0
+    _, y = simulated([[0, 1], [-2000, -8]], [0, 3000], u, DT / inner)
+    return record(fine[::inner], u[::inner], y[::inner] + 1e-3 * rng.standard_normal(steps), hold=hold)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Set of data: the fit to try, the truth, and words of its refusal or note. Without words the fit must be right."""
+
+    make: Callable[[], Estimate]
+    truth: Mapping[str, float]
+    words: str = ""
+
+
+def _columns(change: Callable[[Array, Array, Array], tuple[ArrayLike, ArrayLike, ArrayLike]], **options: Any) -> Any:
+    return lambda: fit(motor(), record(*change(*motor_data())), **options)
+
+
+def _spring(change: Callable[[Array, Array, Array], tuple[ArrayLike, ArrayLike, ArrayLike]], **options: Any) -> Any:
+    return lambda: fit(spring(), record(*change(*spring_data())), **options)
+
+
+def _gap(t: Array, u: Array, y: Array) -> tuple[Array, Array, Array]:
+    keep = (t < 3.0) | (t > 4.0)
+    return t[keep], u[keep], y[keep]
+
+
+def _lost(t: Array, u: Array, y: Array) -> tuple[Array, Array, Array]:
+    keep = np.random.default_rng(7).random(t.size) > 0.1
+    return t[keep], u[keep], y[keep]
+
+
+def _spikes(t: Array, u: Array, y: Array) -> tuple[Array, Array, Array]:
+    y = y.copy()
+    y[[50, 120, 333]] += 20.0
+    return t, u, y
+
+
+def free(structure: str) -> Estimate:
+    """Return the fit of a free response with dry friction, as command and page make it."""
+    found, _ = by_output_error("impulse", structure_for("impulse", structure), [pendulum(0.6)])
+    assert isinstance(found, Estimate)
+    return found
+
+
+def _in_degrees() -> Estimate:
+    one = pendulum(0.0)
+    return fit(
+        pitch_rate(), replace(one, outputs={"q": replace(one.outputs["q"], value=one.outputs["q"].value * 57.3)})
+    )
+
+
+CASES: Mapping[str, Case] = {
+    # unstable
+    "unstable, closed loop": Case(lambda: fit(motor(5.0), unstable(25.0, 40.0)), {"a": 25.0, "b": 1.0}),
+    "unstable, guessed stable": Case(lambda: fit(motor(), unstable(3.0, 8.0)), {"a": 3.0, "b": 1.0}),
+    "unstable, pushed": Case(lambda: fit(motor(5.0), unstable(5.0, 12.0, push=0.3)), {"a": 5.0, "b": 1.0}),
+    "unstable, open loop": Case(lambda: fit(motor(1.0), unstable(2.0, 0.0, steps=150)), {"a": 2.0, "b": 1.0}),
+    "inverted pendulum": Case(lambda: fit(spring(k=-20.0), inverted()), {"k": -30.0, "d": 1.0, "g": 50.0}),
+    "inverted pendulum, pushed": Case(lambda: fit(spring(k=-20.0), inverted(0.2)), {"k": -30.0, "g": 50.0}),
+    "unstable, by output error": Case(
+        lambda: fit(motor(5.0), unstable(25.0, 40.0), disturbance="white"), {"a": 25.0}, "diverges|not finite"
+    ),
+    # drifting
+    "integrator under a gust": Case(lambda: fit(motor(-0.1), unstable(0.0, 4.0, push=0.5)), {"b": 1.0}),
+    "output drifts along a line": Case(_columns(lambda t, u, y: (t, u, y + 0.3 * t)), MOTOR, "wanders"),
+    "output walks": Case(_columns(lambda t, u, y: (t, u, y + drift(t.size, 0.05))), MOTOR, "wanders"),
+    "output swings slowly": Case(_columns(lambda t, u, y: (t, u, y + np.sin(0.7 * t))), MOTOR, "wanders"),
+    "coloured noise": Case(
+        _columns(lambda t, u, y: (t, u, y + lfilter([0.1], [1, -0.9], np.random.default_rng(3).standard_normal(400)))),
+        MOTOR,
+    ),
+    # jittered
+    "jitter of 2 ms": Case(lambda: fit(motor(), jittered(0.002, seed=15)), MOTOR),
+    "jitter of 4 ms": Case(lambda: fit(motor(), jittered(0.004, seed=1)), MOTOR),
+    "one sample in ten lost": Case(_spring(_lost), SPRING),
+    "a second is missing": Case(_spring(_gap), SPRING, "gap"),
+    "a stamp comes twice": Case(_columns(lambda t, u, y: (np.where(t == t[7], t[6], t), u, y)), MOTOR, "increase"),
+    "the clock falls back": Case(_columns(lambda t, u, y: (np.where(t > 4.0, t - 1.0, t), u, y)), MOTOR, "increase"),
+    # short
+    "three samples": Case(_columns(lambda t, u, y: (t[:3], u[:3], y[:3])), MOTOR, "3 samples"),
+    "two samples": Case(_columns(lambda t, u, y: (t[:2], u[:2], y[:2])), MOTOR, "2 samples|tell apart"),
+    "six samples": Case(_columns(lambda t, u, y: (t[:6], u[:6], y[:6])), MOTOR, "few"),
+    "before the excitation": Case(_spring(lambda t, u, y: (t, 0.0 * u, 0.01 * y)), SPRING, "say nothing|tell apart"),
+    # offset
+    "output far from 0": Case(_columns(lambda t, u, y: (t, u, y + 50.0)), MOTOR, "far from 0"),
+    "input far from 0": Case(_spring(lambda t, u, y: (t, u + 20.0, y)), SPRING, "far from 0"),
+    "output a little off": Case(_columns(lambda t, u, y: (t, u, y + 1.0)), MOTOR, "bias|trim"),
+    "input a little off": Case(_spring(lambda t, u, y: (t, u + 1.0, y)), SPRING, "trim|bias"),
+    # mis-scaled
+    "time in milliseconds": Case(_spring(lambda t, u, y: (1e3 * t, u, y)), SPRING, "milliseconds"),
+    "pitch rate in degrees": Case(_in_degrees, {"mu": 250.0}, "degrees"),
+    "input in millionths": Case(_columns(lambda t, u, y: (t, 1e6 * u, y)), {"a": -2.0, "b": 3e-6}),
+    "output upside down": Case(_spring(lambda t, u, y: (t, u, -y)), {**SPRING, "g": -60.0}),
+    # wrong about the machine or the sensor
+    "dry friction": Case(lambda: free("pitch-rate"), {"w_n": 2.81, "xi": 0.03}, "free-response"),
+    "dry friction, by default": Case(lambda: free(AUTO), {"w_n": 2.81, "xi": 0.03, "coulomb": 0.6}),
+    "input moves between samples": Case(
+        lambda: fit(spring(k=2000.0, d=8.0, g=3000.0), smooth_input()),
+        {"k": 2000.0, "d": 8.0, "g": 3000.0},
+        "band-limited",
+    ),
+    "output saturates": Case(_columns(lambda t, u, y: (t, u, np.clip(y, -0.5, 0.5))), MOTOR, "depends on|leaves"),
+    "spikes": Case(_spring(_spikes), SPRING),
+    "a delay is left out": Case(_spring(lambda t, u, y: (t[5:], u[5:], y[:-5])), SPRING, "leaves out"),
+    "damping below 0": Case(lambda: fit(pitch_rate(), pendulum(0.0, damping=-0.01)), {"w_n": 2.81}, "negative"),
+    "not a number": Case(_columns(lambda t, u, y: (t, u, np.where(t == t[9], np.nan, y))), MOTOR, "finite"),
+    "output stands still": Case(_columns(lambda t, u, y: (t, u, 0.0 * y)), MOTOR, "constant|nothing"),
+    "without noise": Case(lambda: fit(spring(), record(*spring_data(noise=0.0))), SPRING),
+}
