@@ -23,7 +23,7 @@ from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.experiments import KINDS
 from twodof.identify.greybox import fit
 from twodof.identify.information import predict
-from twodof.identify.ready_made import FRICTION_PRIOR, POLES_PRIOR
+from twodof.identify.ready_made import FRICTION_PRIOR, POLES_PRIOR, TRAVEL, known_rail
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
 from twodof.models.structures import pitch_on_cart, pitch_rate, rail
@@ -35,7 +35,7 @@ from twodof.signals import PERIOD, Q_AGE, RAIL_CENTRE
 Array = NDArray[np.float64]
 
 PITCH = ("mu", "tau")
-TRAVEL = ("k_v", "p_v")
+FIGURES = ("k_v", "p_v")
 POLES = ("w_n", "xi")
 EARLIER = 0
 """Seed of the flight from which the noise is known to plan with."""
@@ -87,12 +87,10 @@ def cases(rig: Mapping[str, float]) -> dict[str, Case]:
         experiment("attitude-prbs"),
     ]
     travel = [experiment("velocity-doublet"), experiment("velocity-doublets")]
-    dry = rig["rail_coulomb"] > 0.0
-    along = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0", *(("coulomb",) if dry else ()))
-    known = {"curve": rig["curve"], "rotor_delay": rig["delay"] + rig["lag"], "lever": cart_parameters(rig)["lever"]}
-    # A level rail that lets the cart slide at .6 deg: .1 m/s2 at most, and not less than nothing.
-    sliding = {"coulomb": (0.05, 0.05)} if dry else {}
-    along_the_rail = [Case(one.name, one, rail(thrust=True), TRAVEL, along, known, sliding) for one in travel]
+    known, before = known_rail(rig)
+    along = (*TRAVEL, *before)
+    along_the_rail = [Case(one.name, one, rail(thrust=True), FIGURES, along, known, before) for one in travel]
+    dry = "coulomb" in before
     return {
         **{one.name: _pitch(one, rig) for one in pitch},
         **{one.name: one for one in along_the_rail},

@@ -87,8 +87,8 @@ def test_the_velocity_shows_both_outputs(logs: dict[str, FlightLog]) -> None:
     found = identify_flight(logs["velocity-doublet"])
     names = [one["name"] for one in found.view()["outputs"]]
     assert names == ["x", "v"]
-    assert not found.sufficiency.enough, "one doublet tells p_v to a third"
-    assert any("p_v" in reason for reason in found.sufficiency.reasons)
+    shares = found.sufficiency.shares
+    assert shares["p_v"] > 3.0 * shares["k_v"], "one doublet tells p_v to a fifth"
     assert all(math.isfinite(row["value"]) for row in found.view()["estimates"])
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 # Relative steps of the differences: the optimum for rounding errors of 1e-16, one-sided and two-sided.
 _ONE_SIDED = 1e-7
 _TWO_SIDED = 1e-5
+# Distance of the points around a kink, in standard deviations, and most searches from one of them.
+_NEAR = 0.2
+_TURNS = 5
 
 
 @dataclass(frozen=True)
@@ -160,8 +163,26 @@ class Problem:
         return self._simulators[record].run({name: plain[i] for name, i in self._pick[record].items()})
 
     def minimise(self, x: Array) -> LeastSquaresMinimum:
-        """Search the least squares from `x` on."""
-        return minimise(self.residual, self.jacobian, x, self.lower, self.upper)
+        """Search the least squares from `x` on.
+
+        Dry friction makes kinks, where the derivatives promise a decrease that no step gives. There the search goes on
+        from a better point at `_NEAR` along the axes of the confidence region, and has converged if there is none.
+        """
+        found = minimise(self.residual, self.jacobian, x, self.lower, self.upper)
+        for _ in range(_TURNS):
+            if found.converged or not np.isfinite(slopes := self.jacobian(found.x, found.residual)).all():
+                break
+            _, reach, axes = np.linalg.svd(slopes, full_matrices=False)
+            if not reach[-1] > 0.0:
+                break
+            steps = _NEAR * math.sqrt(2.0 * found.cost / found.residual.size) * axes / reach[:, None]
+            around = np.clip(found.x + np.concatenate([steps, -steps]), self.lower, self.upper)
+            costs = [0.5 * float(r @ r) for r in map(self.residual, around)]
+            better = int(np.argmin(costs))
+            if not costs[better] < found.cost:
+                return replace(found, converged=True)
+            found = minimise(self.residual, self.jacobian, around[better], self.lower, self.upper)
+        return found
 
     def residual(self, x: Array) -> Array:
         """Return the weighted residuals of all records, and how far x is from what was known before."""
