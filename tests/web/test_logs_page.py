@@ -280,6 +280,11 @@ def test_a_cut_flight_is_recovered_where_it_is_opened(logs_server: Served, fligh
     page.reload()
     expect(page.get_by_text("recovered from cut.mcap")).to_be_visible()
     assert not (flights / "flights" / "cut.recovered-2.mcap").exists()
+    page.goto(link(logs_server))
+    page.get_by_label("A log file").set_input_files(
+        {"name": "sent.mcap", "mimeType": "application/octet-stream", "buffer": whole[: len(whole) // 2]}
+    )
+    expect(page.get_by_text("recovered from sent.mcap")).to_be_visible()
 
 
 def test_a_watcher_changes_nothing(logs_server: Served, open_page: OpenPage) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections import OrderedDict
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -239,13 +240,10 @@ def replay(path: str) -> dict[str, Any]:
     }
 
 
-def converted(path: str, target: str) -> dict[str, Any]:
+def converted(path: str, target: str) -> None:
     """Write the log into a new file, whose suffix gives the format. Raises LogError."""
-    log = kept_log(path)
-    if Path(target).suffix == ".ulg":
-        return {"left_out": list(write_ulg(log, target))}
-    write_log(log, target)
-    return {"left_out": []}
+    write: Callable[..., object] = write_ulg if target.endswith(".ulg") else write_log
+    write(kept_log(path), target)
 
 
 def recovered(path: str, target: str) -> dict[str, Any]:
@@ -275,9 +273,7 @@ def _told(found: FlightView, points: int) -> dict[str, Any]:
         "views": [
             {"label": one.label, "curves": [_curve(curve, points) for curve in one.curves]} for one in found.views
         ],
-        "modes": [vars(band) for band in found.modes],
-        "failsafe": [vars(band) for band in found.failsafe],
-        "excitations": [vars(band) for band in found.excitations],
+        **{key: [vars(band) for band in getattr(found, key)] for key in ("modes", "failsafe", "excitations")},
         "notes": list(found.notes),
     }
 

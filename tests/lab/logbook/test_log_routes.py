@@ -363,6 +363,9 @@ def test_a_cut_recording_is_recovered_as_a_new_log(server: Served) -> None:
     assert told["samples"] > 100
     assert told["what"]
     assert server.ask("GET", f"/api/logs/{told['name']}").json["unreadable"] == ""
+    sent = server.ask("POST", "/api/logs/sent.mcap", cut.read_bytes())  # taken, since something of it can be read
+    assert (sent.status, sent.json["name"], bool(sent.json["summary"]["unreadable"])) == (200, "sent.mcap", True)
+    assert server.ask("DELETE", "/api/logs/sent.mcap").status == 200
     cut.write_bytes(b"nothing")
     assert server.ask("POST", "/api/logs/cut.mcap/recover").status == 422
     (server.folder / "flights" / told["name"]).unlink()

@@ -80,11 +80,8 @@ async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
     path = lab.logs.place(name)
     kept = {"notes": lab.logs.notes(name), "ours": path.parent == lab.logs.folder}
     try:
-        return (
-            kept
-            | {"unreadable": "", "formats": FORMATS}
-            | await lab.log_bench.do(log_work.facts, str(lab.whole_log(name)))
-        )
+        found = await lab.log_bench.do(log_work.facts, str(lab.whole_log(name)))
+        return kept | {"unreadable": "", "formats": FORMATS} | found
     except LogError as reason:
         return kept | {"unreadable": _in_words(reason), "formats": [path.suffix.lower().removeprefix(".")]}
     except Rejected as reason:
@@ -201,12 +198,19 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
 
 @router.post("/{name}", openapi_extra=_RAW, dependencies=[takes(MOST_UPLOADED)])
 async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any]:
-    """Upload a log as the file's bytes. It is read first; a file that cannot be read is refused."""
+    """Upload a log as the file's bytes. It is read first; a file of which nothing can be read is refused."""
     lab.logs.check_new(name)
     with lab.logs.scratch() as folder:
         path = FilePath(folder) / name
         await receive_file(request, path)
-        found = await lab.log_bench.do(log_summary, str(path), seconds=CONVERT_S)
+        try:
+            found = await lab.log_bench.do(log_summary, str(path), seconds=CONVERT_S)
+        except LogError as reason:
+            try:
+                await lab.log_bench.do(log_work.recovered, str(path), f"{path}.recovered.mcap", seconds=CONVERT_S)
+            except LogError:
+                raise reason from None
+            found = {"unreadable": _in_words(reason)}
         return {"name": lab.logs.take_in(path, name), "summary": found}
 
 
