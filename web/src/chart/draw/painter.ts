@@ -148,18 +148,22 @@ export function channelExtent(
   return [least, greatest];
 }
 
+/** Add the vertical line at `mark` to the path; returns its place on the canvas. */
+function vertical(u: uPlot, mark: number): number {
+  const x = Math.round(u.valToPos(mark, "x", true)) + 0.5;
+  u.ctx.moveTo(x, u.bbox.top);
+  u.ctx.lineTo(x, u.bbox.top + u.bbox.height);
+  return x;
+}
+
 export function paintMarks(u: uPlot, marks: readonly number[]): void {
-  const { ctx, bbox } = u;
+  const { ctx } = u;
   ctx.strokeStyle = colour("soft");
   ctx.globalAlpha = 0.6;
   ctx.lineWidth = devicePixelRatio;
   ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
   ctx.beginPath();
-  for (const mark of marks) {
-    const x = Math.round(u.valToPos(mark, "x", true)) + 0.5;
-    ctx.moveTo(x, bbox.top);
-    ctx.lineTo(x, bbox.top + bbox.height);
-  }
+  for (const mark of marks) vertical(u, mark);
   ctx.stroke();
   ctx.setLineDash([]);
   ctx.globalAlpha = 1;
@@ -174,10 +178,8 @@ export function paintPins(u: uPlot, pins: readonly number[]): void {
   ctx.textAlign = "left";
   ctx.textBaseline = "top";
   pins.forEach((pin, k) => {
-    const x = Math.round(u.valToPos(pin, "x", true)) + 0.5;
     ctx.beginPath();
-    ctx.moveTo(x, bbox.top);
-    ctx.lineTo(x, bbox.top + bbox.height);
+    const x = vertical(u, pin);
     ctx.stroke();
     ctx.fillText(CURSORS[k] ?? "", x + 4 * ratio, bbox.top + 3 * ratio);
   });

@@ -36,29 +36,27 @@ export class Replay {
     return Number.isFinite(next) ? here + (place - row) * (next - here) : here;
   }
 
+  private known(name: string, time: number): number | undefined {
+    const value = this.at(name, time);
+    return Number.isFinite(value) ? value : undefined;
+  }
+
   pose(time: number): Pose {
-    const known = (name: string): number => {
-      const value = this.at(name, time);
-      return Number.isFinite(value) ? value : 0;
-    };
-    return { x: known("x"), theta: known("theta"), ...pairs(known("T"), known("M")) };
+    const [x = 0, theta = 0, T = 0, M = 0] = ["x", "theta", "T", "M"].map((name) => this.known(name, time));
+    return { x, theta, ...pairs(T, M) };
   }
 
   /** Return the true place; undefined for a real rig. */
   truth(time: number): Place | undefined {
-    const place = { x: this.at("x_true", time), theta: this.at("theta_true", time) };
-    return Number.isFinite(place.x) && Number.isFinite(place.theta) ? place : undefined;
+    const [x, theta] = [this.known("x_true", time), this.known("theta_true", time)];
+    return x === undefined || theta === undefined ? undefined : { x, theta };
   }
 
   /** Return the set-points of a mode. */
   wanted(time: number, mode: string): Wanted {
-    const set = (name: string): number | undefined => {
-      const value = this.at(name, time);
-      return Number.isFinite(value) ? value : undefined;
-    };
     return {
-      theta: ["attitude", "velocity", "position"].includes(mode) ? set("theta0") : undefined,
-      x: mode === "position" ? set("x0") : undefined,
+      theta: ["attitude", "velocity", "position"].includes(mode) ? this.known("theta0", time) : undefined,
+      x: mode === "position" ? this.known("x0", time) : undefined,
     };
   }
 }

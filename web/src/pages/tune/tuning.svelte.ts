@@ -106,9 +106,7 @@ export class Tuning {
   }
 
   edit(name: string, value: number): void {
-    this.edits = new Map(this.edits).set(name, value);
-    this.failure = "";
-    this.askSoon();
+    this.put(new Map(this.edits).set(name, value));
   }
 
   /** Send what a slider has changed, if that is wished and the model finds no unstable drone. */
@@ -126,15 +124,17 @@ export class Tuning {
   }
 
   take(changes: readonly Change[]): void {
-    this.edits = withChanges(this.rows, this.edits, changes);
-    this.failure = "";
-    this.askSoon();
+    this.put(withChanges(this.rows, this.edits, changes));
   }
 
   forget(name?: string): void {
     const next = new Map(name === undefined ? [] : this.edits);
     if (name !== undefined) next.delete(name);
-    this.edits = next;
+    this.put(next);
+  }
+
+  private put(edits: Edits): void {
+    this.edits = edits;
     this.failure = "";
     this.askSoon();
   }

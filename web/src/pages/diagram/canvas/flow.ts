@@ -44,6 +44,7 @@ export interface Marks {
   readonly loop: ReadonlySet<string>;
   /** Colour of the scope, by destination. */
   readonly scoped: ReadonlyMap<string, string>;
+  readonly selected: ReadonlySet<string>;
 }
 
 const HANDLE = 7; // the dot of a port
@@ -58,18 +59,11 @@ export interface Drawn {
 }
 
 /** Return nodes and edges of a sheet; unchanged ones are reused. */
-export function sheet(
-  d: Diagram,
-  shapes: Shapes,
-  marks: Marks,
-  selected: ReadonlySet<string>,
-  before: { nodes: readonly SheetNode[]; edges: readonly SheetEdge[] },
-  router: Router,
-): Drawn {
+export function sheet(d: Diagram, shapes: Shapes, marks: Marks, before: Omit<Drawn, "left">, router: Router): Drawn {
   const old = new Map(before.nodes.map((node) => [node.id, node]));
   const places = partPlaces(d, shapes);
   const nodes: SheetNode[] = d.parts.map((part, i) =>
-    partNode(part, shapes, places[i]!, marks, selected, old.get(partId(part.name)) as PartNode | undefined),
+    partNode(part, shapes, places[i]!, marks, old.get(partId(part.name)) as PartNode | undefined),
   );
   const terminals = terminalPlaces(d, shapes, places);
   for (const [kind, names] of [
@@ -77,7 +71,6 @@ export function sheet(
     ["output", d.outputs.map(([name]) => name)],
   ] as const) {
     names.forEach((name) => {
-      const id = kind === "input" ? inputId(name) : outputId(name);
       const declared = d.inputs.find((one) => declaredName(one) === name);
       const source = d.outputs.find(([one]) => one === name)?.[1] ?? null;
       const port =
@@ -86,12 +79,11 @@ export function sheet(
           : declared === undefined
             ? { name, kind: "bus", width: null, unit: "" }
             : portOf(declared);
-      nodes.push(
-        terminal(kind, id, port, terminals.get(id)!, marks, selected, old.get(id) as TerminalNode | undefined),
-      );
+      const id = kind === "input" ? inputId(name) : outputId(name);
+      nodes.push(terminal(kind, id, port, terminals.get(id)!, marks, old.get(id) as TerminalNode | undefined));
     });
   }
-  return { nodes, ...edges(d, shapes, marks, selected, before.edges, nodes, router) };
+  return { nodes, ...edges(d, shapes, marks, before.edges, nodes, router) };
 }
 
 /**
@@ -127,17 +119,10 @@ function handles(size: Size, inputs: readonly string[], outputs: readonly string
   ];
 }
 
-function partNode(
-  part: Part,
-  shapes: Shapes,
-  [x, y]: Point,
-  marks: Marks,
-  selected: ReadonlySet<string>,
-  old: PartNode | undefined,
-): PartNode {
+function partNode(part: Part, shapes: Shapes, [x, y]: Point, marks: Marks, old: PartNode | undefined): PartNode {
   const id = partId(part.name);
   const shape = shapes.of(part.item);
-  const chosen = selected.has(id);
+  const chosen = marks.selected.has(id);
   const [inputs, outputs] = [tops(shape.inputs), tops(shape.outputs)];
   const [fault, loop] = [marks.faults.get(id) ?? "", marks.loop.has(id)];
   const data: PartData = { part, shape, size: partSize(part, shape), inputs, outputs, fault, loop };
@@ -177,12 +162,11 @@ function terminal(
   port: Port,
   [x, y]: Point,
   marks: Marks,
-  selected: ReadonlySet<string>,
   old: TerminalNode | undefined,
 ): TerminalNode {
   const fault = marks.faults.get(id) ?? "";
   const same = old?.data.fault === fault && old.data.port.kind === port.kind && old.data.port.unit === port.unit;
-  const chosen = selected.has(id);
+  const chosen = marks.selected.has(id);
   if (same && isAt(old, x, y, chosen)) return old;
   const size = { width: terminalWidth(port.name), height: TERMINAL_HEIGHT };
   const dot = { width: HANDLE, height: HANDLE, y: (TERMINAL_HEIGHT - HANDLE) / 2 };
@@ -234,7 +218,6 @@ function edges(
   d: Diagram,
   shapes: Shapes,
   marks: Marks,
-  selected: ReadonlySet<string>,
   before: readonly SheetEdge[],
   nodes: readonly SheetNode[],
   router: Router,
@@ -253,7 +236,7 @@ function edges(
   });
   const left = router.update(new Map(nodes.map((node) => [node.id, boxOf(node)])), ends, SLICE_MS);
   const old = new Map(before.map((edge) => [edge.id, edge]));
-  return { edges: wires.map((wire) => edge(wire, router.route(wire.id), marks, selected, old.get(wire.id))), left };
+  return { edges: wires.map((wire) => edge(wire, router.route(wire.id), marks, old.get(wire.id))), left };
 }
 
 interface WireEnds {
@@ -293,17 +276,11 @@ function hasPort(at: ReadonlyMap<string, SheetNode>, wire: WireEnds): boolean {
   return has(from, wire.sourceHandle) && has(to, wire.targetHandle);
 }
 
-function edge(
-  wire: WireEnds,
-  route: Route,
-  marks: Marks,
-  chosen: ReadonlySet<string>,
-  was: SheetEdge | undefined,
-): SheetEdge {
+function edge(wire: WireEnds, route: Route, marks: Marks, was: SheetEdge | undefined): SheetEdge {
   const { id, from, to, source, sourceHandle, target, targetHandle } = wire;
   const fault = marks.loop.has(id);
   const color = marks.scoped.get(to) ?? "";
-  const ends = { source, sourceHandle, target, targetHandle, selected: chosen.has(id) };
+  const ends = { source, sourceHandle, target, targetHandle, selected: marks.selected.has(id) };
   const { x, y } = route;
   const [old, next] = [was?.data, { color, fault, x, y }];
   const same = was !== undefined && old !== undefined && alike<object>({ ...old, ...old.route }, next);

@@ -3,6 +3,7 @@ import { act, described } from "../actions.svelte";
 import { editor } from "../editor.svelte";
 import { folds } from "../folds.svelte";
 import { looseEnd } from "../insert.svelte";
+import { partId } from "../model/diagram";
 import type { SheetNode } from "./flow";
 
 export const KEYS: readonly (readonly [keys: string, does: string])[] = [
@@ -100,7 +101,7 @@ export function keyOnSheet(event: KeyboardEvent, nodes: readonly SheetNode[]): v
 }
 
 /** Keys with Ctrl or Cmd. Undo, redo and save are the page's, wherever the focus is. */
-const WITH_CONTROL: Readonly<Record<string, (nodes: readonly SheetNode[]) => unknown>> = {
+const WITH_CONTROL: Readonly<Record<string, () => unknown>> = {
   a: selectAll,
   c: () => act.copy(),
   x: () => act.cut(),
@@ -137,8 +138,8 @@ const PLAIN: Readonly<Record<string, () => unknown>> = {
   "?": () => (act.dialog = "keys"),
 };
 
-function selectAll(nodes: readonly SheetNode[]): void {
-  editor.select(nodes.filter((node) => node.id.startsWith("p:")).map((node) => node.id));
+function selectAll(): void {
+  editor.select(editor.here.parts.map((part) => partId(part.name)));
   editor.say(`${editor.parts.length} blocks are selected`);
 }
 
@@ -156,8 +157,7 @@ function actionOf(
     const by = event.shiftKey ? LONG_STEP : STEP;
     return () => act.nudge(by * ARROWS[direction][0], by * ARROWS[direction][1]);
   }
-  if (control && event.shiftKey) return WITH_SHIFT[key];
-  if (control) return WITH_CONTROL[key] && (() => WITH_CONTROL[key]!(nodes));
+  if (control) return (event.shiftKey ? WITH_SHIFT : WITH_CONTROL)[key];
   if (event.key === "n" || event.key === "p") return () => go(next(nodes, from, event.key === "n" ? 1 : -1));
   return PLAIN[event.key];
 }

@@ -2,7 +2,7 @@
 import { commented } from "../model/comment";
 import type { Block, Diagram, Part } from "../model/diagram";
 import { isObject, Num, type Json, type JsonObject } from "../model/json_text";
-import { tops, type Shape } from "../model/shapes";
+import { fromLibrary, tops, type Shape } from "../model/shapes";
 
 const PITCH = 20; // between two ports
 const GRID = 10;
@@ -45,7 +45,7 @@ export function symbol(part: Part): string {
   const held = commented(part)?.held;
   if (held) return symbol(held);
   if (item.is === "diagram") return item.name;
-  if (item.type === "custom" || item.type === "state_machine") {
+  if (!fromLibrary(item)) {
     return typeof item.json["name"] === "string" ? item.json["name"] : item.type;
   }
   const config = configOf(item);
@@ -85,26 +85,17 @@ function superscript(text: string): string {
 }
 
 /** Return the sign of an input of a sum or product, or "". */
-export function portSign(part: Part, index: number): string {
-  const signs = configOf(part.item)[part.item.is === "block" && part.item.type === "sum" ? "signs" : "operations"];
-  if (part.item.is !== "block" || typeof signs !== "string") return "";
-  const sign = signs[index] ?? "";
-  return part.item.type === "sum"
-    ? sign.replace("-", "−")
-    : part.item.type === "product"
-      ? sign === "/"
-        ? "÷"
-        : "×"
-      : "";
+export function portSign({ item }: Part, index: number): string {
+  if (item.is === "diagram" || (item.type !== "sum" && item.type !== "product")) return "";
+  const signs = configOf(item)[item.type === "sum" ? "signs" : "operations"];
+  if (typeof signs !== "string") return "";
+  if (item.type === "sum") return (signs[index] ?? "").replace("-", "−");
+  return signs[index] === "/" ? "÷" : "×";
 }
 
 export interface Size {
   readonly width: number;
   readonly height: number;
-}
-
-function fromLibraryType(type: string): boolean {
-  return type !== "custom" && type !== "state_machine";
 }
 
 const sizes = new WeakMap<Part, { readonly shape: Shape; readonly size: Size }>();
@@ -125,7 +116,7 @@ function measured(part: Part, shape: Shape): Size {
   const named = (names: readonly string[]): number => (names.length > 1 ? Math.max(...names.map((n) => n.length)) : 0);
   const signed = portSign(part, 0) !== "";
   const sides = (signed ? 1 : 5.4 * named(inputs)) + 5.4 * named(outputs);
-  const own = part.item.is === "diagram" || !fromLibraryType(part.item.type);
+  const own = part.item.is === "diagram" || !fromLibrary(part.item);
   const wanted = symbol(part).length * 7 + (own ? 2 : 1) * sides + 22;
   const width = Math.min(own ? 200 : 100, Math.max(50, GRID * Math.ceil(wanted / GRID)));
   const height = Math.max(40, PITCH * Math.max(inputs.length, outputs.length) + PITCH);

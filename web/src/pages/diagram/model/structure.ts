@@ -2,7 +2,7 @@
 import type { Value } from "../../../wasm/signal";
 import { diagramTo, declaredName, partTo, type Diagram, type Part } from "./diagram";
 import type { JsonObject } from "./json_text";
-import { fromLibrary, parameterOf, withoutValue, type Shapes } from "./shapes";
+import { parameterOf, withoutValue, type Shapes } from "./shapes";
 import { writeJson } from "./json_text";
 
 /** Equal for diagrams of one program, which differ in values of parameters, places and texts only. */
@@ -52,7 +52,7 @@ export function parameterValues(d: Diagram, shapes: Shapes, prefix = ""): Record
 }
 
 function blockValues(part: Part, shapes: Shapes, prefix: string): Record<string, Value> {
-  if (part.item.is === "diagram" || (!fromLibrary(part.item) && part.item.type === "state_machine")) return {};
+  if (part.item.is === "diagram" || part.item.type === "state_machine") return {};
   const rows = shapes.of(part.item).params.map((one) => [prefix + one.name, valueOf(one.value)] as const);
   return Object.fromEntries(rows.filter((row): row is [string, Value] => row[1] !== undefined));
 }
