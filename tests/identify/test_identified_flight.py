@@ -14,6 +14,7 @@ from twodof.experiment.flight import Laboratory
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.identify.identified_flight import IdentifiedFlight, identify_flight
 from twodof.identify.ready_made import FlownMachine, experiment_in, machine_of, structure_for, sufficiency
+from twodof.rig.steady_state import model_parameters
 
 pytestmark = pytest.mark.slow
 
@@ -49,6 +50,21 @@ def test_the_view_is_json_and_its_curves_agree(doublet: IdentifiedFlight) -> Non
         assert measured - model == pytest.approx(residual, abs=1e-4)
     assert view["informative"]["enough"]
     assert "mu ±" in view["informative"]["text"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [2, 45])
+def test_a_free_response_gives_poles_and_friction(seed: int) -> None:
+    """Coloured noise once took the swing of seed 45 for its own, and a held delay passed for less damping."""
+    laboratory = Laboratory("lab")
+    true, found = (
+        model_parameters(laboratory.parameters.snapshot()),
+        identify_flight(laboratory.fly("impulse", seed).log),
+    )
+    assert found.structure.name == "free_response"
+    for name in ("w_n", "xi", "coulomb", "hardening"):
+        assert abs(found.greybox[name] - true[name]) < 4.0 * found.greybox.sigma(name), name
+        assert found.greybox.sigma(name) < 0.01 * true[name]
 
 
 @pytest.mark.parametrize("said", [{"flown": {"virtual": True}}, {"drone": {"rig": "paper", "virtual": True}}])

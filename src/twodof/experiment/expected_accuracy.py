@@ -25,12 +25,14 @@ from twodof.identify.ready_made import (
     FlownMachine,
     known_cart,
     priors_of,
+    released,
     structure_for,
 )
 from twodof.identify.record import Record
 from twodof.identify.validate import deviations
 from twodof.models.structure import Structure
 from twodof.rig.rotors import lift
+from twodof.rig.steady_state import model_parameters
 from twodof.signals import HOVER, PERIOD
 
 Array = NDArray[np.float64]
@@ -197,6 +199,9 @@ def expected_accuracy(
             structure = structure_for(kind)
             known = {**known_cart(stops, structure, free=not one.rings), **known}
             before = priors_of(stops, structure)
+        if kind == "impulse":
+            own = model_parameters(stops)
+            known = {**{name: own[name] for name in ("coulomb", "hardening")}, **known}
         planned = _Plan(cut(log, kind), kind, known, before, free=not one.rings)
         found, worse = planned.information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:
@@ -251,7 +256,7 @@ class _Plan:
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:
-            wanted = structure.estimate
+            wanted = tuple(name for name in released(structure) if name not in structure.at_rest)
         # In a short flight dead time and lag have nearly the same effect, and their sum is wanted: the lag is held.
         # A closed loop separates them.
         wanted = wanted if self.kind == "attitude" else tuple(name for name in wanted if name != "lag")

@@ -239,6 +239,11 @@ TRAVEL = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0")
 """What a motion along the rail tells. The range sensor's age beyond its stamp passes for less friction if it is 0."""
 
 
+def released(structure: Structure) -> tuple[str, ...]:
+    """Return the unknowns of a free response: the structure's own and the delay, without which it lags behind."""
+    return tuple(dict.fromkeys((*structure.estimate, *filter(None, [structure.delay]))))
+
+
 def experiment_in(log: FlightLog) -> str:
     """Return the experiment of `KINDS` that a log holds: by its own words, else by its signals.
 
@@ -327,6 +332,8 @@ def by_output_error(
         held = {name: swing[name] for name in SWING if name in swing.labels and name not in (estimate or ())}
         given = {**held, **given}
         wanted = wanted or tuple(name for name in structure.estimate if name not in held)
+    if experiment == "impulse":
+        wanted = wanted or tuple(name for name in released(structure) if name not in given)
     before: dict[str, tuple[float, float]] | None = None
     machines = machines or [FlownMachine()] * len(records)
     machine = machines[0]
@@ -380,7 +387,8 @@ def _with_friction(found: Estimate, records: Sequence[Record]) -> Estimate:
     if "coulomb" in (*found.labels, *found.fixed):
         return found
     try:
-        other = fit(free_response(), records, disturbance="white")
+        rubbing = free_response()
+        other = fit(rubbing, records, estimate=released(rubbing), disturbance="white")
     except IdentificationError:
         return found
     before, after = (sum(one.rmse for one in both.identification) for both in (found, other))
