@@ -32,7 +32,7 @@ from twodof.identify.estimate import Estimate
 from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
 from twodof.identify.record import HOLDS, Record, check_record
-from twodof.identify.validate import Comparison, compare
+from twodof.identify.validate import Comparison, compare, rmse
 from twodof.models.structure import Structure, check_structure
 
 Array = NDArray[np.float64]
@@ -462,16 +462,22 @@ def _reweight(problem: Problem, residual: Array, noises: Sequence[Sequence[int]]
     return change
 
 
-def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> tuple[Comparison, ...]:
+def _comparisons(
+    problem: Problem, x: Array, found: Disturbed | None = None, predicts: bool = False
+) -> tuple[Comparison, ...]:
     """Compare each output of each record with the model; the tests are those of the noise model's prediction errors."""
     tested = None if found is None or found.model.kind == "white" else found.prediction_error
     noise = {} if found is None else found.model.noise
     ahead = {k: noise.get(problem.noise_label(i)) for i, blocks in enumerate(problem.noises) for k in blocks}
     own, at = (found.predictor if found is not None else None) or (problem, x)
+    predicts = own.structure is not problem.structure or predicts
     simulated = [own.simulate(at, r) for r in range(len(problem.records))]
     compared = []
     for k, block in enumerate(problem.blocks):
         record, model = problem.records[block.record], ahead[k]
+        unpredicted = None if model is None else model.sigma
+        if predicts:
+            unpredicted = rmse(problem.measured(k), simulated[block.record][block.output])
         step = np.floor(record.outputs[block.output].position).astype(np.int64)
         compared.append(
             compare(
@@ -482,7 +488,7 @@ def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> 
                 simulated[block.record][block.output],
                 {name: record.inputs[name][step] for name in problem.structure.inputs},
                 prediction_error=None if tested is None else tested[block.rows],
-                unpredicted=None if model is None else model.sigma,
+                unpredicted=unpredicted,
             )
         )
     return tuple(compared)
@@ -490,7 +496,7 @@ def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> 
 
 def _validation(problem: Problem, found: Disturbed, records: Sequence[Record], like: str) -> tuple[Comparison, ...]:
     """Simulate records that the fit did not use, with the values of record `like`; local unknowns are fitted."""
-    x = found.minimum.x
+    x, predicts = found.minimum.x, found.predictor is not None
     if found.predictor is not None:
         records = [with_measured(problem.structure, record) for record in records]
         problem, x = found.predictor
@@ -504,5 +510,5 @@ def _validation(problem: Problem, found: Disturbed, records: Sequence[Record], l
     local = {slot.unknown.name for slot in problem.slots if slot.unknown.local}
     for record in records:
         own = Problem(problem.structure, [record], local, shared)
-        compared.extend(_comparisons(own, _solve(own, {}).x if local else own.x0))
+        compared.extend(_comparisons(own, _solve(own, {}).x if local else own.x0, predicts=predicts))
     return tuple(compared)

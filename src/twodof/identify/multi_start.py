@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError, is_number, shown
+from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.problem import number_pair
@@ -62,9 +63,10 @@ def fit_from_several(
     `within` says from where to where the first guess of an unknown is drawn: (low, high). If both are positive and a
     factor of ten or more apart, the draw is uniform in the logarithm. Otherwise it is uniform. The draws are a Latin
     hypercube: each unknown's range is in `starts` equal parts, and each part has one draw. `options` are those of
-    `fit`; the `bounds` of the search are not narrowed. The searches are by output error; a noise model (`disturbance`,
-    see `fit`) is fitted from the best end alone. `progress` is called with the starts done and their number. Two ends
-    are one minimum if their costs differ by less than .1, or 1e-6 of the samples.
+    `fit`; the `bounds` of the search are not narrowed. The searches are by output error, or in innovation form if that
+    is asked for; another noise model (`disturbance`, see `fit`) is fitted from the best end alone. `progress` is called
+    with the starts done and their number. Two ends are one minimum if their costs differ by less than .1, or 1e-6 of
+    the samples.
 
     Raises IdentificationError for names, ranges or numbers that are not possible, and the last fit's error if all
     starts fail.
@@ -73,6 +75,7 @@ def fit_from_several(
     generator = np.random.default_rng(seed)
     own = dict(options.pop("values", None) or {})
     disturbance = options.pop("disturbance", "auto")
+    searched: Disturbance = "innovation" if disturbance == "innovation" else "white"
     guesses = [own, *({**own, **one} for one in _drawn(within, starts, generator)[1:])]
     ends: list[tuple[float, dict[str, float]]] = []
     best: Estimate | None = None
@@ -81,7 +84,7 @@ def fit_from_several(
         if progress is not None:
             progress(done, starts)
         try:
-            found = fit(structure, records, values=guess, disturbance="white", **options)
+            found = fit(structure, records, values=guess, disturbance=searched, **options)
         except IdentificationError as error:
             failed.append((guess, str(error)))
             if done == starts - 1 and not ends:
@@ -100,7 +103,7 @@ def fit_from_several(
             minima[-1] = replace(minima[-1], starts=minima[-1].starts + 1)
         else:
             minima.append(LocalMinimum(values, cost, 1))
-    if disturbance != "white":
+    if disturbance != searched:
         start = {**own, **ends[0][1]}
         best = fit(structure, records, values=start, disturbance=disturbance, **options)
     return MultiStart(best, tuple(minima), tuple(failed), seed)

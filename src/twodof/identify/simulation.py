@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
+from twodof.identify.disturbance.innovation import can_predict, with_measured
 from twodof.identify.estimate import Estimate
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples, check_record
@@ -84,10 +85,18 @@ def predict_ahead(
     It is the simulation, and of its error what the noise model tells from the errors up to `steps` samples before
     (Ljung, System Identification, section 3.2). An estimate brings its noise model; white noise tells nothing of the
     future, and the prediction is the simulation. Without an estimate an autoregression is fitted to the record's own
-    errors. `values`, `initial` and errors as in `simulate`; IdentificationError for `steps` below 1.
+    errors. `values`, `initial` and errors as in `simulate`; IdentificationError for `steps` below 1. An estimate in
+    innovation form predicts one sample ahead, and raises IdentificationError for more.
     """
     if not is_number(steps, 1, whole=True):
         raise record.error(f"{shown(steps)} samples ahead", "give a whole number, 1 or more")
+    gains = values.disturbance.gains if isinstance(values, Estimate) else {}
+    if gains and structure.predictor is not None:
+        if steps > 1 or not can_predict(structure, [record]):
+            what = "a model in innovation form predicts one sample ahead of outputs with a sample at each step"
+            raise record.error(what, "give steps=1, and such a record")
+        known = {**_given(structure, record, values), **gains}
+        return RecordSimulator(structure.predictor, with_measured(structure, record)).run(known)
     found = simulate(structure, record, values, initial=initial)
     for name, simulated in found.items():
         samples = record.outputs[name]
