@@ -126,7 +126,6 @@ def fit(
     minimum, jacobian = found.minimum, found.jacobian
     if found.predictor is not None:
         problem.sigma[:] = found.predictor[0].sigma
-    _check_followed(problem, found)
     labels = [slot.label for slot in problem.slots]
     free = np.flatnonzero(~minimum.at_bound)
     if free.size == 0:
@@ -157,6 +156,7 @@ def fit(
             prior={name: one for name, one in (prior or {}).items() if name not in still},
         )
         return replace(again, at_rest=tuple(still))
+    _check_followed(problem, found)
     white, robust = (np.full((len(labels), len(labels)), math.nan) for _ in range(2))
     known = uncertain_unknowns(jacobian, problem.scale, free)
     white[np.ix_(known, known)] = covariance(jacobian[:, known])
