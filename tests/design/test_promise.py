@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twodof.design.pitch_family import PitchFamily
-from twodof.design.pitch_loop import PitchLoop
+from twodof.design.pitch_loop import TILT_WALK, PitchLoop
 from twodof.design.promise import Promise, promise
 from twodof.design.sampled_controller import SampledController
 from twodof.design.step_statistics import interval
@@ -16,7 +16,7 @@ from twodof.flight.gains import STUDENT
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.models import step_figures
 from twodof.models.lti import DelayedStateSpace
-from twodof.signals import PERIOD
+from twodof.signals import PERIOD, Q_AGE
 
 pytestmark = pytest.mark.slow
 
@@ -35,7 +35,7 @@ def test_loop_is_that_of_the_exact_plant() -> None:
     for k in range(3):
         m = members.one(k)
         a = [[0.0, 1.0, 0.0], [-(m["w_n"] ** 2), -2.0 * m["xi"] * m["w_n"], m["mu"]], [0.0, 0.0, -1.0 / m["lag"]]]
-        plant = DelayedStateSpace.of(a, [0.0, 0.0, 1.0 / m["lag"]], np.eye(3), np.zeros((3, 1)), m["dead_time"])
+        plant = DelayedStateSpace.of(a, [0.0, 0.0, 1.0 / m["lag"]], np.eye(3), np.zeros((3, 1)), m["dead_time"] + Q_AGE)
         sampled = plant.zero_order_hold(PERIOD)
         state, given, seen = np.zeros(3), [0.0] * 40, 0.0
         integral = slope = before = 0.0
@@ -45,8 +45,9 @@ def test_loop_is_that_of_the_exact_plant() -> None:
             slope = (0.01 * slope + error - before) / (0.01 + PERIOD)
             before = error
             given.append(kp * error + integral + kd * slope)
-            assert (theta[step, k], q[step, k], moment[step, k]) == pytest.approx((*state[:2], given[-1]), abs=1e-9)
-            seen = float(state[0])
+            # The estimator sums q by rectangles, which is half a step ahead.
+            seen = float(state[0] + 0.5 * PERIOD * state[1])
+            assert (theta[step, k], q[step, k], moment[step, k]) == pytest.approx((seen, state[1], given[-1]), abs=1e-9)
             n = sampled.whole
             state = sampled.phi @ state + sampled.old[:, 0] * given[-n - 2] + sampled.new[:, 0] * given[-n - 1]
 
@@ -103,7 +104,9 @@ def test_promise_holds_for_other_members() -> None:
     made = promise(STOCK, FAMILY, members=800, seed=1)
     others, count = FAMILY.draw(300, seed=77), 300
     goal = np.concatenate([np.zeros(500), np.full(len(made.time), made.goal)])
-    theta, q, moment = PitchLoop(others, STOCK, FAMILY.gust_time).simulate(goal, 78, FAMILY.gust, FAMILY.q_noise)
+    theta, q, moment = PitchLoop(others, STOCK, FAMILY.gust_time).simulate(
+        goal, 78, FAMILY.gust, FAMILY.q_noise, tilt=TILT_WALK
+    )
     time = (np.arange(len(goal)) - 500) * PERIOD
     kept = dict.fromkeys(("theta", "q", "M", *made.figures), 0)
     for k in range(count):
@@ -145,7 +148,9 @@ def test_family_of_several_flights_has_their_spread() -> None:
             "correlation": np.eye(3).tolist(),
             "noise": {"q": 0.3},
             "disturbance": {
-                "gusts": {"q": {"std": 0.006, "correlation_time": 0.15, "white": 0.003, "narrow": 0.004}},
+                "gusts": {
+                    "q": {"std": 0.006, "correlation_time": 0.15, "white": 0.003, "narrow": 0.004, "frequency": 38.0}
+                },
             },
         }
         for k, row in enumerate(rows.tolist())

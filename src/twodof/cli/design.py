@@ -109,6 +109,7 @@ def controller(
         _say(sure, made.saturation, found, made.requirements)
         for name in written.values():
             say_line(f"written: {name}")
+    _say_notes(family)
     if not sure.robust:
         say_line("note: nothing is written; ask for a lower crossover, or identify the model better")
     elif not made.ready:
@@ -188,6 +189,11 @@ def _say_cascade(made: CascadeDesign) -> None:
         console.print(f"{name} loop: crossover {crossover:.3g} rad/s, phase margin {margin:.3g} deg")
 
 
+def _say_notes(family: PitchFamily) -> None:
+    for note in family.notes:
+        say_line(f"note: {note}")
+
+
 def _say(sure: Robustness, limited: SaturatedStep, found: Promise, checked: tuple[Requirement, ...]) -> None:
     console = table_console()
     console.print(sure.text)
@@ -218,7 +224,10 @@ def rail(
     ] = None,
     promise_file: PromiseFile = None,
     plot: PromisePlot = None,
-    rig: Annotated[str, option("What no model tells, such as sensors, is this rig's.", "RIG")] = ("paper"),
+    rig: Annotated[
+        str | None,
+        option("What no model tells, such as sensors, is this rig's; left out: the rig that was flown.", "RIG"),
+    ] = None,
     members: Members = RAIL_MEMBERS,
     seed: Seed = 1,
     force: Force = False,
@@ -283,4 +292,5 @@ def rail(
             table_console().print(one.text)
         for name in written.values():
             say_line(f"written: {name}")
+    _say_notes(family.pitch)
     exit_unless(made.robust and all(one.met for one in checked))

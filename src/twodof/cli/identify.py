@@ -183,6 +183,7 @@ def identify(
     others = [cut(log, kind) for log in checks]
     free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
     found: SimplePitch | SimpleVelocity | Estimate | Repeated
+    about = {"experiment": asked, "method": method, "rig": machine_of(logs[0], 0.0, 0.0).rig}
     if simple:
         found = by_hand(asked, records[0], others, free)
         converged = True
@@ -205,7 +206,7 @@ def identify(
             if reference is not None:
                 records = [with_reference(records[0], files[0], {}, reference), *records[1:]]
             _draw(found, shape, records, plot, force, reference)
-    _say(found, {"experiment": asked, "method": method}, out, json, converged)
+    _say(found, about, out, json, converged)
     exit_unless(converged)
 
 

@@ -9,19 +9,22 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.design.fitted_noise import FittedNoise
 from twodof.errors import ParameterError, is_number, listed, shown
+from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
 
 PARAMETERS: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {"w_n": (1e-3, 100.0), "xi": (-1.0, 10.0), "mu": (1e-3, 1e5), "dead_time": (0.0, 0.25), "lag": (0.0, 1.0)}
+    {"w_n": (1e-3, 100.0), "xi": (0.0, 10.0), "mu": (1e-3, 1e5), "dead_time": (0.0, 0.25), "lag": (0.0, 1.0)}
 )
-"""Parameters of a member with their bounds; a member drawn outside of them is drawn again."""
+"""Parameters of a member with their physical bounds; a member drawn outside of them is drawn again."""
 
 NOISE_SEED = 1
 MOST_MEMBERS = 100_000
 _LEAST_TIME, _MOST = 1e-9, 1e300
-_REFUSED = 0.5  # of the draws: the estimate then says hardly more than the bounds do
+_USUAL_RADIUS = 0.775  # of the vibration's poles, which earlier models do not tell
+_REFUSED, _TRIED = 0.95, 1000  # share of the draws from which on the estimate contradicts the bounds, of so many
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +57,9 @@ class PitchFamily:
     m follows M behind `dead_time` and the rotors' `lag`. `values` has the estimate by the names of `PARAMETERS`.
     `covariance` (k, k) is that of the parameters named in `uncertain`, in their order. `gust` [rad/s2] is the standard
     deviation of the disturbance, a Gauss-Markov process with the correlation time `gust_time` [s]. `q_noise` [rad/s] is
-    the standard deviation of a sample of the measured rate. Raises ParameterError for an unknown or missing name and
-    for a number out of its bounds.
+    the standard deviation of a sample of the measured rate, and `q_band` its colour (`FittedNoise`). `notes` say which
+    estimates were taken for their physical bound. Raises ParameterError for an unknown or missing name and for a number
+    out of its bounds.
     """
 
     values: Mapping[str, float]
@@ -64,6 +68,8 @@ class PitchFamily:
     gust: float = 0.0
     gust_time: float = 0.1
     q_noise: float = 0.0
+    q_band: tuple[float, float] = (0.0, 0.0)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if set(self.values) != set(PARAMETERS):
@@ -71,6 +77,7 @@ class PitchFamily:
         figures = {name: (self.values[name], *bounds) for name, bounds in PARAMETERS.items()}
         figures |= {name: (getattr(self, name), 0.0, _MOST) for name in ("gust", "q_noise")}
         figures["gust_time"] = (self.gust_time, _LEAST_TIME, _MOST)
+        figures |= {"q_band[0]": (self.q_band[0], 0.0, 0.5 / PERIOD), "q_band[1]": (self.q_band[1], 0.0, 0.999)}
         for name, (value, low, high) in figures.items():
             if not is_number(value, low, high):
                 raise _error(f"{name} = {shown(value)} is out of range", f"give a number from {low:g} to {high:g}")
@@ -105,10 +112,11 @@ class PitchFamily:
     def from_identified(cls, document: object, where: str = "model") -> Self:
         """Return the family in `document`, the output of `twodof identify --json` for one flight or for several.
 
-        For one flight each parameter has the larger of its plain and its robust standard deviation. The noise of q is
-        taken for the sensor's, unless gusts were identified too. For several flights their spread counts, for what
-        differs between them also differs in the next one. Raises ParameterError for another document and where w_n,
-        xi, mu or tau is missing.
+        For one flight each parameter has the larger of its plain and its robust standard deviation. Gust and gyro have
+        the spectrum of the noise that was fitted (`FittedNoise`); residuals taken for white are the gyro's. For several
+        flights their spread counts, for what differs between them also differs in the next one. An estimate beyond its
+        physical bound is taken for the bound. Raises ParameterError for another document and where w_n, xi, mu or tau
+        is missing.
         """
         if not isinstance(document, Mapping):
             raise _error(f"{shown(document)} is not a model", "give the output of `twodof identify --json`", where)
@@ -143,19 +151,32 @@ class PitchFamily:
             )
         wanted = [label for label in _told_apart(labels) if _own(label) in PARAMETERS]
         sigmas = np.array([max(sigma_in(estimates[n], k) for k in ("sigma", "sigma_robust")) for n in wanted])
+        delay = (document.get("sums") or {}).get("tau")
+        if delay and {"dead_time", "lag"} <= set(wanted) and estimates["lag"]["sigma"] is None:
+            # Of a lag that its bound holds, the dead time has all the doubt of the sum, and no more.
+            sigmas[wanted.index("dead_time")] = sigma_in(delay, "sigma")
         at = [labels.index(label) for label in wanted]
         correlation = np.array(document["correlation"], dtype=float)[np.ix_(at, at)]
         correlation = np.where(np.isfinite(correlation), correlation, np.eye(len(at)))
         noise = float(document.get("noise", {}).get("q", 0.0))
         covariance = correlation * np.outer(sigmas, sigmas)
         covariance = 0.5 * (covariance + covariance.T)
-        found = cls(_complete(values), tuple(map(_own, wanted)), covariance, q_noise=noise)
-        gusts = (document.get("disturbance") or {}).get("gusts", {}).get("q")
-        if gusts is None:
+        physical, notes = _physical(_complete(values))
+        found = cls(physical, tuple(map(_own, wanted)), covariance, q_noise=noise, notes=notes)
+        fitted = document.get("disturbance") or {}
+        gusts, rows = fitted.get("gusts", {}).get("q"), list(fitted.get("noise", {}).values())
+        if gusts is not None:
+            # A gust as the input that would push as hard; what is left of q is the sensor's noise and the vibration.
+            push, band = (
+                float(gusts["std"]) * physical["mu"],
+                (gusts["frequency"], gusts.get("radius", _USUAL_RADIUS) ** 2),
+            )
+            seen = FittedNoise.of_parts(push, gusts["correlation_time"], gusts["white"], gusts["narrow"], *band)
+        elif rows:
+            seen = FittedNoise.of_rows(rows, physical["w_n"], physical["xi"])
+        else:
             return found
-        # A gust as the input that would push as hard; what is left of q is the sensor's noise and the vibration.
-        push, rest = float(gusts["std"]) * found.values["mu"], math.hypot(float(gusts["white"]), float(gusts["narrow"]))
-        return found.disturbed(push, float(gusts["correlation_time"]), rest)
+        return replace(found, **vars(seen))
 
     @classmethod
     def _of_several(cls, document: Mapping[str, Any], where: str) -> Self:
@@ -169,7 +190,8 @@ class PitchFamily:
             math.sqrt(float(np.mean([getattr(one, name) ** 2 for one in flights]))) for name in ("gust", "q_noise")
         )
         lasting = float(np.mean([one.gust_time for one in flights]))
-        return cls({**flights[0].values, **mean}, tuple(wanted), p, gust, lasting, noise)
+        band = flights[0].q_band
+        return cls({**flights[0].values, **mean}, tuple(wanted), p, gust, lasting, noise, band, flights[0].notes)
 
     def disturbed(
         self, gust: float | None = None, gust_time: float | None = None, q_noise: float | None = None
@@ -212,6 +234,7 @@ class PitchFamily:
             "gust": self.gust,
             "gust_time": self.gust_time,
             "q_noise": self.q_noise,
+            "q_band": list(self.q_band),
         }
 
     @classmethod
@@ -228,6 +251,7 @@ class PitchFamily:
                 float(data["gust"]),
                 float(data["gust_time"]),
                 float(data["q_noise"]),
+                tuple(map(float, data.get("q_band", (0.0, 0.0)))),
             )
         except (KeyError, TypeError, ValueError) as reason:
             raise _error(f"this is not a family ({reason!s:.80})", "give the `family` of a promise", where) from reason
@@ -245,16 +269,16 @@ def check_covariance(covariance: Array, size: int, where: str = "PitchFamily") -
 def draw_within(centre: Array, root: Array, bounds: Array, count: int, rng: np.random.Generator) -> Array:
     """Draw (count, k) parameters around `centre` (k,); draw those outside `bounds` (k, 2) again.
 
-    `root` (k, k) is a square root of the covariance. Raises ParameterError if most draws are outside the bounds.
+    `root` (k, k) is a square root of the covariance. Raises ParameterError if hardly a draw is within the bounds.
     """
     kept, tried = np.zeros((0, len(centre))), 0
     while len(kept) < count:
         rows = centre + rng.standard_normal((2 * count + 16, len(centre))) @ root.T
         kept = np.concatenate([kept, rows[((rows >= bounds[:, 0]) & (rows <= bounds[:, 1])).all(axis=1)]])
         tried += len(rows)
-        if len(kept) < (1.0 - _REFUSED) * tried:
+        if tried > _TRIED and len(kept) < (1.0 - _REFUSED) * tried:
             raise _error(
-                "most drawn members are out of bounds: the data hardly determine the parameters",
+                "95 % of the drawn members are not physical: the data contradict the bounds of the parameters",
                 "identify again, with more excitation or with w_n and xi held",
             )
     return kept[:count]
@@ -276,6 +300,17 @@ def _complete(values: Mapping[str, float]) -> dict[str, float]:
     if "dead_time" not in own and "tau" in values:
         own["dead_time"] = values["tau"] - own.get("lag", 0.0)
     return {"lag": 0.0, **own}
+
+
+def _physical(values: Mapping[str, float]) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return the values within the bounds of `PARAMETERS`, and a note on each that was not, but is finite."""
+    clipped = {name: min(max(value, PARAMETERS[name][0]), PARAMETERS[name][1]) for name, value in values.items()}
+    notes = tuple(
+        f"{name} {values[name]:.3g} is taken for {value:g}, the physical bound"
+        for name, value in clipped.items()
+        if value != values[name] and math.isfinite(values[name])
+    )
+    return {name: value if math.isfinite(values[name]) else values[name] for name, value in clipped.items()}, notes
 
 
 def sigma_in(row: Mapping[str, Any], name: str) -> float:

@@ -12,7 +12,7 @@ from twodof.design.pitch_family import PitchMembers
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
 from twodof.flight.gains import Gains
-from twodof.signals import PERIOD
+from twodof.signals import PERIOD, Q_AGE
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -20,6 +20,12 @@ Complex = NDArray[np.complex128]
 THETA, Q, ROTORS, GUST = range(4)
 NO_LAG = 1e-5
 """A lag [s] that stands for none: the matrices then have the same shape for all members."""
+AHEAD = 0.5 * PERIOD
+"""Time [s] by which theta summed by rectangles is ahead of the integral of q."""
+TILT_WALK = 6.5e-4
+"""Walk of the estimated theta [rad/sqrt(s)] by the noise of accelerometer and range, on the rigs `paper` and `lab`."""
+_LEAK = 1.0 - PERIOD / 2.0
+"""Share of an error of theta that the estimator keeps from a sample to the next: it is corrected within 2 s."""
 _CHUNK = 64  # steps between two calls of `progress`
 
 
@@ -27,10 +33,11 @@ _CHUNK = 64  # steps between two calls of `progress`
 class PitchLoop:
     """Loop of n members under one controller, sampled at 250 Hz as they fly.
 
-    M is held between samples and the dead time is exact. The controller reads q of the present sample and theta of the
-    sample before. The states are theta, q, the rotors' moment and the gust, then the moments in the delay line, the
-    published theta, and the states of the controller. The gust is a Gauss-Markov process with the correlation time
-    `gust_time` [s].
+    M is held between samples and the dead time is exact; to that of the members comes the age of q when M is computed.
+    The controller reads q of the present sample and theta of the sample before, as the estimator integrates q: by
+    rectangles, with q's noise. The states are theta, q, the rotors' moment and the gust, then the moments in the delay
+    line, the published theta, and the states of the controller. The gust is a Gauss-Markov process with the correlation
+    time `gust_time` [s].
     """
 
     members: PitchMembers
@@ -51,7 +58,7 @@ class PitchLoop:
         g, n = self.members, len(self.members)
         lag = np.maximum(g.lag, NO_LAG)
         # The stand-in for no lag is taken off the dead time, so that the sum stays.
-        dead = np.maximum(0.0, g.dead_time - np.where(g.lag < NO_LAG, NO_LAG, 0.0))
+        dead = np.maximum(0.0, g.dead_time + Q_AGE - np.where(g.lag < NO_LAG, NO_LAG, 0.0))
         block = np.zeros((n, 5, 5))
         block[:, THETA, Q] = 1.0
         block[:, Q, THETA], block[:, Q, Q] = -(g.w_n**2), -2.0 * g.xi * g.w_n
@@ -75,7 +82,7 @@ class PitchLoop:
         b[:, 4] = 1.0
         for j in range(1, depth):
             a[:, 4 + j, 3 + j] = 1.0
-        a[:, 4 + depth, THETA] = 1.0
+        a[:, 4 + depth, THETA], a[:, 4 + depth, Q] = 1.0, AHEAD
         return a, b
 
     @cached_property
@@ -92,17 +99,18 @@ class PitchLoop:
 
     @cached_property
     def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """Matrices (A, B, C, D) of the closed loop: (n, m, m), (n, m, 2), (n, 3, m), (n, 3, 2).
+        """Matrices (A, B, C, D) of the closed loop: (n, m, m), (n, m, 3), (n, 3, m), (n, 3, 3).
 
-        Inputs: theta_0 and the noise of q. Outputs: theta, the measured q, and M.
+        Inputs: theta_0, the noise of the theta that is read, and that of q. Outputs: the estimated theta without its
+        noise, the measured q, and M.
         """
         a, b, moment = self._open
-        given, (n, m) = self.controller.d[0, [0, 2]], b.shape
+        given, (n, m) = self.controller.d[0], b.shape
         drive = b[:, :, None] * given
-        drive[:, m - len(self.controller.a) :] = self.controller.b[:, [0, 2]]
-        c, d = np.zeros((n, 3, m)), np.zeros((n, 3, 2))
-        c[:, 0, THETA], c[:, 1, Q], c[:, 2] = 1.0, 1.0, moment
-        d[:, 1, 1], d[:, 2] = 1.0, given
+        drive[:, m - len(self.controller.a) :] = self.controller.b
+        c, d = np.zeros((n, 3, m)), np.zeros((n, 3, 3))
+        c[:, 0, THETA], c[:, 0, Q], c[:, 1, Q], c[:, 2] = 1.0, AHEAD, 1.0, moment
+        d[:, 1, 2], d[:, 2] = 1.0, given
         return a + b[:, :, None] * moment, drive, c, d
 
     def poles(self) -> Complex:
@@ -152,7 +160,7 @@ class PitchLoop:
         theta = ((z - a[:, 1, 1]) * one + a[:, 0, 1] * two) / determinant
         q = ((z - a[:, 0, 0]) * two + a[:, 1, 0] * one) / determinant
         back = np.stack([self.controller.response(float(w)) for w in np.atleast_1d(omega)])
-        return np.asarray(-(back[:, 1] * theta / z + back[:, 2] * q))
+        return np.asarray(-(back[:, 1] * (theta + AHEAD * q) / z + back[:, 2] * q))
 
     def simulate(
         self,
@@ -160,13 +168,16 @@ class PitchLoop:
         seed: int = 1,
         gust: float = 0.0,
         q_noise: float = 0.0,
+        q_band: tuple[float, float] = (0.0, 0.0),
+        tilt: float = 0.0,
         progress: Callable[[float], None] = lambda share: None,
     ) -> tuple[Array, Array, Array]:
         """Return theta, q and M, each (steps, n), for the set-point `theta_0` (steps,) [rad].
 
         Flights start from rest, with the gust already stationary. `gust` [rad/s2] and `q_noise` [rad/s] are standard
-        deviations; the returned q includes its noise. `progress` is called with the share done (0 to 1). Raise
-        ParameterError for a set-point that is empty or not finite.
+        deviations, `q_band` is the colour of the noise (`FittedNoise`), and `tilt` [rad/sqrt(s)] the walk of the
+        estimated theta. The returned theta and q include their noise. `progress` is called with the share done (0 to
+        1). Raise ParameterError for a set-point that is empty or not finite.
         """
         goal = np.asarray(theta_0, dtype=float)
         if goal.ndim != 1 or not goal.size or not np.isfinite(goal).all():
@@ -179,14 +190,23 @@ class PitchLoop:
         x[:, GUST, 0] = gust * rng.standard_normal(n)
         fresh = gust * np.sqrt(1.0 - np.exp(-2.0 * PERIOD / self.gust_time))
         out = np.empty((steps, n, 3))
-        given = np.empty((n, 2, 1))
+        given = np.zeros((n, 3, 1))
+        turn, radius = (1.0 + q_band[1]) * np.cos(2.0 * np.pi * q_band[0] * PERIOD), q_band[1]
+        # The vibration is white noise through a band-pass (`rig.sensors`), of variance 1.
+        last, before, w1, w2 = np.zeros((4, n))
         for k in range(steps):
             if k % _CHUNK == 0:
                 progress(k / steps)
-            given[:, 0, 0] = goal[k]
-            given[:, 1, 0] = q_noise * rng.standard_normal(n)
+            white = noise = rng.standard_normal(n)
+            if radius > 0.0:
+                noise = np.sqrt(0.5 * (1.0 - radius)) * (white - w2) + turn * last - radius * before
+            w1, w2, last, before = white, w1, noise, last
+            given[:, 0, 0], given[:, 2, 0] = goal[k], q_noise * noise
             out[k] = (c @ x + d @ given)[..., 0]
             x = a @ x + b @ given
+            given[:, 1] = _LEAK * given[:, 1] + PERIOD * given[:, 2]
+            given[:, 1, 0] += tilt * PERIOD**0.5 * rng.standard_normal(n)
+            out[k, :, 0] += given[:, 1, 0]
             x[:, GUST, 0] += fresh * rng.standard_normal(n)
         return out[..., 0], out[..., 1], out[..., 2]
 

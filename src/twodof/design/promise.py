@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.design.pitch_family import PitchFamily
-from twodof.design.pitch_loop import PitchLoop
+from twodof.design.pitch_loop import TILT_WALK, PitchLoop
 from twodof.design.sampled_controller import SampledController
 from twodof.design.step_statistics import TRIM, interval, step_bands, step_statistics
 from twodof.errors import ParameterError, is_number, shown
@@ -405,7 +405,9 @@ def promise(
     steps = round(duration / PERIOD) + 1
     setpoint = np.concatenate([np.zeros(_LEAD), np.full(steps, goal)])
     with np.errstate(over="ignore", invalid="ignore"):
-        theta, q, moment = loop.simulate(setpoint, seed, family.gust, family.q_noise, progress)
+        theta, q, moment = loop.simulate(
+            setpoint, seed, family.gust, family.q_noise, family.q_band, TILT_WALK, progress
+        )
         moment = moment - moment[_LEAD - TRIM : _LEAD].mean(axis=0)
     flown = {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}
     unstable = float(np.mean(loop.radii() >= 1.0))

@@ -145,16 +145,19 @@ def _measures(members: PitchMembers, controller: SampledController) -> Array:
 
 
 def _on_border(family: PitchFamily, directions: Array) -> PitchMembers:
-    """Return the drone at which each direction meets the border of the ellipsoid, clipped to the parameters' bounds."""
+    """Return the drone at which each direction leaves the ellipsoid or the parameters' physical bounds."""
     from scipy.special import gammaincinv  # imported late: most commands start without it
 
     # The quantile of chi-square with k degrees of freedom; scipy.stats takes a second to import.
     reach = math.sqrt(2.0 * float(gammaincinv(0.5 * len(family.uncertain), REGION)))
     rows = reach * directions @ family.root().T
+    centre = np.array([family.values[name] for name in family.uncertain])
+    low, high = np.array([PARAMETERS[name] for name in family.uncertain]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(rows > 0.0, (high - centre) / rows, np.where(rows < 0.0, (low - centre) / rows, np.inf))
+    inside = np.clip(centre + np.minimum(room.min(axis=1), 1.0)[:, None] * rows, low, high)
     columns = {name: np.full(len(rows), float(family.values[name])) for name in PARAMETERS}
-    for i, name in enumerate(family.uncertain):
-        columns[name] = np.clip(columns[name] + rows[:, i], *PARAMETERS[name])
-    return PitchMembers(**columns)
+    return PitchMembers(**columns | {name: inside[:, i] for i, name in enumerate(family.uncertain)})
 
 
 def _unit(rows: Array) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference.interpreter import Reference
 from twodof.design.pitch_family import PitchFamily
-from twodof.design.pitch_loop import PitchLoop, Q
+from twodof.design.pitch_loop import AHEAD, PitchLoop, Q
 from twodof.design.promise import DURATION, GOAL
 from twodof.design.sampled_controller import SampledController
 from twodof.design.tuning_preview import SETTLED
@@ -116,7 +116,7 @@ def _flown(
     for k in range(steps):
         if k % 50 == 0:
             progress(k / steps)
-        theta[k] = x[0]
+        theta[k] = x[0] + AHEAD * x[Q]
         moment = float(machine.step({**given, "theta": float(x[-1]), "q": float(x[Q])})["M"])
         acting = acting_moment(moment)
         # The diagram's own limit is the motors' one where it stands at it.

@@ -18,7 +18,7 @@ from twodof.blocks.library import DiscreteIntegrator, DiscreteStateSpace, Gain, 
 from twodof.blocks.library.delays import UnitDelay
 from twodof.design.cascade import cascade_design
 from twodof.design.pitch_family import PitchFamily, PitchMembers
-from twodof.design.pitch_loop import GUST, PitchLoop, Q
+from twodof.design.pitch_loop import AHEAD, GUST, PitchLoop, Q
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, Gains
@@ -203,7 +203,7 @@ def placed_attitude(family: PitchFamily, poles: Sequence[complex] = (-8.0, -9.0 
 def _without_dead_time(family: PitchFamily) -> tuple[Array, Array]:
     """Return (A, b) of theta, q, rotors, last moment and integral, without the whole steps of the dead time."""
     whole = _whole(family)
-    part = max(0.0, family.values["dead_time"] - whole * PERIOD)
+    part = family.values["dead_time"] - whole * PERIOD
     a, b = (one[0] for one in PitchLoop(PitchMembers.of({**family.values, "dead_time": part}), _NO_CONTROLLER).plant)
     return _with_integral(*_cut(a, b))
 
@@ -236,7 +236,7 @@ def _with_integral(a: Array, b: Array) -> tuple[Array, Array]:
     """Return the plant with the sum of T theta, the published theta a sample later, as the last state."""
     n = len(a)
     whole = np.zeros((n + 1, n + 1))
-    whole[:n, :n], whole[n, n], whole[n, 0] = a, 1.0, PERIOD
+    whole[:n, :n], whole[n, n], whole[n, :2] = a, 1.0, (PERIOD, PERIOD * AHEAD)
     return whole, np.append(b, 0.0)
 
 

@@ -55,6 +55,7 @@ class IdentifiedFlight:
     simple: SimplePitch | SimpleVelocity | None
     refusal: str
     truth: Mapping[str, float]
+    rig: str
 
     @property
     def sufficiency(self) -> Sufficiency:
@@ -63,7 +64,7 @@ class IdentifiedFlight:
 
     def model(self) -> dict[str, Any]:
         """Return the model's document, as `twodof identify --out` writes it and `twodof design` reads it."""
-        about = {"experiment": self.experiment, "method": "grey-box"}
+        about = {"experiment": self.experiment, "method": "grey-box", "rig": self.rig}
         return {**about, **json.loads(self.greybox.to_json())}
 
     def view(self) -> dict[str, Any]:
@@ -192,7 +193,7 @@ def identify_flight(
         refusal = str(reason)
     unseen = tuple(fitted[len(fitted) - len(checks) :])
     truth = reference_values(log, kind, record.start, float(record.time[-1]))
-    return IdentifiedFlight(kind, shape, record, unseen, found, simple, refusal, truth)
+    return IdentifiedFlight(kind, shape, record, unseen, found, simple, refusal, truth, machines[0].rig)
 
 
 def _output(

@@ -51,7 +51,10 @@ def identified_rig(model: Mapping[str, float], base: str | Mapping[str, float] =
     if given.keys() & {"mu", "k_v"}:
         rig["inertia"] *= moment_gain(rig, HOVER) / wanted["mu"]
     inertia = rig["inertia"]
-    rig["spring"] = wanted["w_n"] ** 2 * inertia - GRAVITY * rig["mass_drone"] * rig["offset"]
+    # Gravity and the spring make the stiffness. What is softer than by gravity alone has its mass nearer the bearing.
+    weight, restoring = GRAVITY * rig["mass_drone"], wanted["w_n"] ** 2 * inertia
+    rig["offset"] = min(rig["offset"], restoring / weight)
+    rig["spring"] = max(0.0, restoring - weight * rig["offset"])
     damping = 2.0 * wanted["w_n"] * inertia
     if "xi" in given:
         rig["viscous_idle"] = rig["viscous_run"] = given["xi"] * damping

@@ -39,7 +39,7 @@ class Gust:
     """The push that was found: its standard deviation (the input's unit) and correlation time [s], and the sensor.
 
     `white` and `narrow` are the standard deviations of the sensor's white and narrow-band noise (the output's unit),
-    `frequency` [Hz] is the middle of the band.
+    `frequency` [Hz] is the middle of the band, `radius` that of its poles.
     """
 
     input: str
@@ -48,6 +48,7 @@ class Gust:
     white: float
     narrow: float
     frequency: float
+    radius: float = 0.0
 
 
 class GustModel:
@@ -107,9 +108,10 @@ class GustModel:
     @property
     def gust(self) -> Gust:
         """The push and the sensor's noise in their units."""
-        push, time, white, narrow, frequency, _ = self.theta
+        push, time, white, narrow, frequency, decay = self.theta
         deviations = (self.unit * math.exp(white), self.unit * math.exp(narrow))
-        return Gust(self.input, math.exp(push), math.exp(time), *deviations, float(frequency) / self.dt)
+        radius = 1.0 / (1.0 + math.exp(-decay))
+        return Gust(self.input, math.exp(push), math.exp(time), *deviations, float(frequency) / self.dt, radius)
 
     def _pushed(self, time: float) -> Array:
         """Autocovariance of the output under a push of standard deviation 1."""

@@ -17,7 +17,7 @@ from twodof.design.promise import LEVEL, STEPS, Promise, check_numbers
 from twodof.design.specification import Requirement, Specification, requirements
 from twodof.errors import CompileError, ParameterError, shown
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.rig.parameters import load_rig
+from twodof.rig.parameters import NAMES, load_rig
 from twodof.rig.rig import BASE_DT
 from twodof.signals import HOVER, MODES, PERIOD
 from twodof.sim.closed_loop import ARMING, SETPOINTS, TICKS, closed_loop
@@ -55,12 +55,15 @@ class RailFamily:
             raise ParameterError("the covariance is not positive semidefinite", "RailFamily", "identify again")
 
     @classmethod
-    def from_identified(cls, pitch: object, rail: object, base: str = "paper", where: str = "model") -> Self:
+    def from_identified(cls, pitch: object, rail: object, base: str | None = None, where: str = "model") -> Self:
         """Return the family of two documents of `twodof identify --out`: of the pitch, and of the cart (`rail`).
 
-        `where` names the documents in an error. Raises ParameterError for other documents, and without k_v or p_v.
+        Without `base` it is the rig that a document names, else `paper`. `where` names the documents in an error.
+        Raises ParameterError for other documents, and without k_v or p_v.
         """
         family = PitchFamily.from_identified(pitch, where)
+        flown = [one["rig"] for one in (pitch, rail) if isinstance(one, Mapping) and one.get("rig") in NAMES]
+        base = base or next(iter(flown), NAMES[0])
         try:
             if not isinstance(rail, Mapping):
                 raise TypeError(shown(rail))
@@ -95,11 +98,14 @@ class RailFamily:
     def _rig(self, member: Mapping[str, float], cart: Array, base: Mapping[str, float]) -> dict[str, float]:
         tau = member["dead_time"] + member["lag"]
         model = {**member, "tau": tau, "k_v": float(cart[0]), "p_v": float(cart[1])}
-        rig = identified_rig(model, base)
+        # The pitch's stiffness is that in flight, where running rotors take no more of it away.
+        rig = identified_rig(model, {**base, "softening": 0.0})
         if self.pitch.gust > 0.0:
             rig["gust"], rig["gust_time"] = self.pitch.gust * rig["inertia"], self.pitch.gust_time
         if self.pitch.q_noise > 0.0:
             rig["gyro_hover"] = self.pitch.q_noise
+        if self.pitch.q_band[1] > 0.0:
+            rig["vibration_hz"], rig["vibration_r2"] = self.pitch.q_band
         return rig
 
     def _cart(self, count: int, rng: np.random.Generator) -> Array:
