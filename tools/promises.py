@@ -9,7 +9,7 @@ The lanes of one compiled closed loop fly them.
 import argparse
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
 from twodof.rig.parameters import paper
 from twodof.signals import Q_AGE
 from twodof.sim.promised.rail_promise import LanesFlight, fly_lanes
+
+VIBRATION = float(paper()["vibration_hz"]), float(paper()["vibration_r2"])
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ def random_family(rng: np.random.Generator) -> PitchFamily:
         "dead_time": rng.uniform(0.0003, 0.0015),
     }
     disturbance = rng.uniform(0.5, 2.3), rng.uniform(0.1, 0.2), rng.uniform(0.005, 0.03)
-    return PitchFamily.of(values, sigmas, *disturbance)
+    return replace(PitchFamily.of(values, sigmas, *disturbance), q_band=VIBRATION)
 
 
 def designed(count: int, members: int, seed: int) -> list[FlownDesign]:

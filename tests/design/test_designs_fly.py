@@ -25,10 +25,18 @@ pytestmark = pytest.mark.slow
 HIGH = 0.6
 """A thrust at which the rig's moment is 1.16 times that of hover."""
 
-FAMILY = PitchFamily.of(
-    {"w_n": PAPER_PITCH_RATE.w_n, "xi": PAPER_PITCH_RATE.xi, "mu": PAPER_PITCH_RATE.mu, "tau": PAPER_PITCH_RATE.tau},
-    {"mu": 4.0},
+FAMILY = PitchFamily(
+    {
+        "w_n": PAPER_PITCH_RATE.w_n,
+        "xi": PAPER_PITCH_RATE.xi,
+        "mu": PAPER_PITCH_RATE.mu,
+        "dead_time": PAPER_PITCH_RATE.tau,
+        "lag": 0.0,
+    },
+    ("mu",),
+    np.array([[16.0]]),
     q_noise=0.06,
+    q_band=(38.0, 0.6),
 )
 LIGHT = identified_rig({"mu": 250.0, "tau": 0.02}, "paper")
 """A drone that turns less by the same moment, so that a step holds the motors at their limits for longer."""

@@ -37,9 +37,11 @@ def searched(rng: np.random.Generator, factor: float) -> tuple[float, float]:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     # chi-square, 3 degrees of freedom, 99.9 %
     far = math.sqrt(16.266) * directions
-    columns = {name: np.full(3000, float(values[name])) for name in PARAMETERS}
-    for i, name in enumerate(sigmas):
-        columns[name] = np.clip(values[name] + sigmas[name] * far[:, i], *PARAMETERS[name])
+    rows = np.array([values[name] for name in sigmas]) + far * list(sigmas.values())
+    low, high = np.array([PARAMETERS[name] for name in sigmas]).T
+    rows = rows[((rows >= low) & (rows <= high)).all(axis=1)]
+    columns = {name: np.full(len(rows), float(values[name])) for name in PARAMETERS}
+    columns |= {name: rows[:, i] for i, name in enumerate(sigmas)}
     return found.radius, float(PitchLoop(PitchMembers(**columns), controller).radii().max())
 
 

@@ -70,15 +70,9 @@ class FittedNoise:
             for gust in (1e-4, 0.1, 2.0)
         ]
         found = min((minimize(cost, x, method="L-BFGS-B", bounds=bounds) for x in guesses), key=lambda one: one.fun)
-        push, time, white, narrow, turn, radius = found.x
-        hertz = float(turn) / (2.0 * math.pi * PERIOD)
-        return cls.of_parts(
-            math.sqrt(math.exp(push) * size),
-            math.exp(time),
-            *(math.sqrt(math.exp(v) * size) for v in (white, narrow)),
-            hertz,
-            float(radius),
-        )
+        push, white, narrow = np.sqrt(np.exp(found.x[[0, 2, 3]]) * size).tolist()
+        time, hertz = math.exp(found.x[1]), float(found.x[4]) / (2.0 * math.pi * PERIOD)
+        return cls.of_parts(push, time, white, narrow, hertz, float(found.x[5]))
 
     @classmethod
     def of_parts(

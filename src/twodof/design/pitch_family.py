@@ -243,7 +243,7 @@ class PitchFamily:
         try:
             if not isinstance(data, Mapping):
                 raise TypeError(shown(data))
-            k = len(data["uncertain"])
+            k, band = len(data["uncertain"]), data.get("q_band", (0.0, 0.0))
             return cls(
                 dict(data["values"]),
                 tuple(data["uncertain"]),
@@ -251,9 +251,9 @@ class PitchFamily:
                 float(data["gust"]),
                 float(data["gust_time"]),
                 float(data["q_noise"]),
-                tuple(map(float, data.get("q_band", (0.0, 0.0)))),
+                (float(band[0]), float(band[1])),
             )
-        except (KeyError, TypeError, ValueError) as reason:
+        except (KeyError, TypeError, ValueError, IndexError) as reason:
             raise _error(f"this is not a family ({reason!s:.80})", "give the `family` of a promise", where) from reason
 
 
