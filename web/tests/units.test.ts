@@ -3,6 +3,7 @@ import { figure, live, tick } from "../src/chart/numbers";
 import {
   boundsMistake,
   editableNumber,
+  brief,
   raised,
   readNumber,
   shownNumber,
@@ -39,6 +40,12 @@ describe("units", () => {
     expect(boundsMistake(readNumber("50.1", "rad"), "rad", -most, most)).toBe("From \u221250 to 50 deg.");
     expect(boundsMistake(-1, "s", 0, Infinity)).toBe("At least 0 s.");
     expect(boundsMistake(NaN, "s", 0, 1)).toBe("Give a number.");
+  });
+  it("writes a parameter of a diagram briefly", () => {
+    expect(brief("0.0009334224953218762 s2/rad, 0 to 0.05")).toBe("0.0009334 s²/rad, 0 to 0.05");
+    expect(brief("20.0 rad/s, 0 to inf")).toBe("20 rad/s, at least 0");
+    expect(brief("-1.5 V, -inf to 0, fixed")).toBe("-1.5 V, at most 0, fixed");
+    expect(brief("")).toBe("");
   });
   it("writes a square as one", () => {
     expect([raised("s^2/rad"), raised("rad/s2"), raised("m/s"), raised("rad")]).toEqual([

@@ -37,6 +37,12 @@ export function raised(unit: string): string {
   return unit.replace(/\^2|(?<=[a-z])2\b/g, "²");
 }
 
+/** Shorten a parameter written with all digits, such as `0.0654030728 s2/rad, 0 to inf`. */
+export function brief(text: string): string {
+  const short = text.replace(/-?\d+\.\d+(e[-+]\d+)?/g, (number) => String(Number(Number(number).toPrecision(4))));
+  return raised(short.replace(/(\S+) to inf/, "at least $1").replace(/-inf to (\S+)/, "at most $1"));
+}
+
 /** Convert a factor to decibels; null stays null. */
 export function decibels(factor: number | null): number | null {
   return factor === null ? null : 20 * Math.log10(factor);
