@@ -79,7 +79,7 @@ def test_the_stop_works_on_every_page(lab_server: LabServer, open_page: OpenPage
     page.get_by_role("dialog").get_by_role("button", name=STOP).click()
     lab_server.until(killed=True, armed=False)
     page.keyboard.press("Escape")
-    expect(page.get_by_text("the motors stay off until it is released")).to_be_visible()
+    expect(page.get_by_text("the motors stay off until the stop is released")).to_be_visible()
     page.get_by_role("button", name="Release the stop").click()
     for name in ("Tune", "Diagram", "Identify", "Logs", "Fly"):
         page.get_by_role("link", name=name, exact=True).click()
