@@ -3,8 +3,8 @@ import { telemetry } from "../../api/telemetry";
 import { measuredSteps, type MeasuredStep, type ParameterRow } from "../../api/tuning";
 import { History } from "../../chart/history";
 import { STEP_COLUMNS, StepWatch, type FlownStep } from "../../chart/step_watch";
-import { figure } from "../../chart/numbers";
 import { keepHistory } from "../../state/live_panels.svelte";
+import { shown } from "./draft";
 
 const RATE_HZ = 250;
 const LOOK_MS = 300;
@@ -28,8 +28,8 @@ export class MeasuredSteps {
   private log = $state("");
   private readonly history = new History([...new Set(STEP_COLUMNS)]);
   private readonly watch = new StepWatch(this.history);
-  /** Values of the parameters by the start of the step that was flown with them [s]. */
-  private values: ReadonlyMap<number, ReadonlyMap<string, number>> = new Map();
+  /** Values of the parameters, as the page shows them, by the start of the step that was flown with them [s]. */
+  private values: ReadonlyMap<number, ReadonlyMap<string, string>> = new Map();
 
   constructor(
     private readonly drone: number,
@@ -44,7 +44,7 @@ export class MeasuredSteps {
     });
     const timer = setInterval(() => {
       const rows = this.rows().filter((row) => row.same_as === "");
-      const now = new Map(rows.map((row) => [row.label, row.value]));
+      const now = new Map(rows.map((row) => [row.label, shown(row.value, row.unit)]));
       this.live = this.watch.update();
       this.values = new Map(this.live.map(({ time }) => [time, this.values.get(time) ?? now]));
     }, LOOK_MS);
@@ -77,7 +77,7 @@ export class MeasuredSteps {
     const differ = [...(this.values.get(step.time) ?? [])].filter(([name, value]) =>
       steps.some((other) => (this.values.get(other.time)?.get(name) ?? value) !== value),
     );
-    const gains = differ.slice(0, NAMED).map(([name, value]) => `${name} ${figure(value, 3)}, `);
+    const gains = differ.slice(0, NAMED).map(([name, value]) => `${name} ${value}, `);
     return `${gains.join("")}flown at ${step.time.toFixed(1)} s`;
   }
 

@@ -19,6 +19,7 @@ import { LatestOnly } from "../fly/latest_only";
 import { asRecord, differences, withChanges, type Edits } from "./draft";
 
 const WAIT_MS = 200;
+const AGAIN_MS = 2000;
 const TOO_SLOW = 504;
 
 /** Parameters of one drone: edits, preview and sent changes. */
@@ -71,10 +72,12 @@ export class Tuning {
   /** Start; returns a function that stops it. */
   start(): () => void {
     void this.load();
-    return telemetry.onEvent((event) => {
+    const timer = setInterval(() => this.loaded && this.rows.length === 0 && void this.refresh(), AGAIN_MS);
+    const stop = telemetry.onEvent((event) => {
       // Somebody else tunes it too, a script perhaps.
       if (event.event === "parameters" && event.drone === this.drone) void this.refresh();
     });
+    return () => (stop(), clearInterval(timer));
   }
 
   async load(): Promise<void> {
