@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from twodof.errors import IdentificationError, LogError
+from twodof.excitation import Prbs
+from twodof.experiment.experiments import Experiment, script
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log
 from twodof.identify.experiments import KINDS, around, cut, kind_of
@@ -63,3 +65,16 @@ def test_a_picture_shows_what_came_before_and_after() -> None:
 )
 def test_the_experiment_of_a_log_is_found(flight_data: Path, log: str, kind: str) -> None:
     assert kind_of(read_log(flight_data / f"{log}.mat")) is KINDS[kind]
+
+
+@pytest.mark.parametrize(
+    ("mode", "unit", "size", "clock"), [("rate", "rad/s", 0.5, 0.1), ("attitude", "rad", 0.07, 0.03)]
+)
+def test_the_default_window_holds_a_random_signal(mode: str, unit: str, size: float, clock: float) -> None:
+    flown = Experiment("own", mode, Prbs(size, clock, 6, unit=unit, lead=0.5), rings=True)
+    flight = Laboratory("lab").fly(flown, 1)
+    plan, stamps = script(flown, flight.x_start), flight.log["M"].time
+    record = cut(flight.log, kind_of(flight.log))
+    # The first half second of the plan is its lead.
+    assert stamps[plan.begin] <= record.start < stamps[plan.begin] + 0.5
+    assert record.time[-1] > stamps[min(plan.end, stamps.size - 1)] - 0.5

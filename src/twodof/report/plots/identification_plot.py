@@ -195,6 +195,8 @@ class _Drawing:
 
     def _ahead(self, one: Comparison) -> str:
         """Return the FIT of the one-step prediction for a closed loop, where gusts change the flight."""
+        if self.found.disturbance.kind == "innovation":
+            return " one sample ahead"
         if one.ahead is None or not self.found.disturbance.answering:
             return ""
         # Of several records each has a third of the width.
