@@ -67,7 +67,7 @@ def test_step_of_an_open_loop_does_not_count() -> None:
     free = FlightLog({**log.channels, "mode": Channel(log["mode"].time, np.zeros(len(log["mode"])), "")})
     assert step_responses(free) == ()
     assert most_stepped(step_responses(free)) == ()
-    with pytest.raises(LogError, match="no set-point of it steps"):
+    with pytest.raises(LogError, match="no set-point steps in this flight"):
         comparison_view({"one": log, "other": free})
 
 

@@ -49,7 +49,9 @@ def flight_steps(logs: Mapping[str, FlightLog]) -> dict[str, tuple[FlownStep, ..
     found = {name: most_stepped(step_responses(log)) for name, log in logs.items()}
     for name, steps in found.items():
         if not steps:
-            raise LogError("no set-point of it steps", name, "give flights with steps, or align them at their start")
+            raise LogError(
+                "no set-point steps in this flight", name, "compare flights with steps, or align them at their starts"
+            )
     loops = {name: steps[0].loop for name, steps in found.items()}
     if len(set(loops.values())) > 1:
         told = ", ".join(f"{name}: {loop}" for name, loop in loops.items())
