@@ -57,9 +57,10 @@ class PitchFamily:
     m follows M behind `dead_time` and the rotors' `lag`. `values` has the estimate by the names of `PARAMETERS`.
     `covariance` (k, k) is that of the parameters named in `uncertain`, in their order. `gust` [rad/s2] is the standard
     deviation of the disturbance, a Gauss-Markov process with the correlation time `gust_time` [s]. `q_noise` [rad/s] is
-    the standard deviation of a sample of the measured rate, and `q_band` its colour (`FittedNoise`). `notes` say which
-    estimates were taken for their physical bound. Raises ParameterError for an unknown or missing name and for a number
-    out of its bounds.
+    the standard deviation of a sample of the measured rate, and `q_band` its colour (`FittedNoise`). `gust_freedom` is
+    the number of independent gusts from which `gust` was estimated; 0: it is known. `notes` say which estimates were
+    taken for their physical bound. Raises ParameterError for an unknown or missing name and for a number out of its
+    bounds.
     """
 
     values: Mapping[str, float]
@@ -69,6 +70,7 @@ class PitchFamily:
     gust_time: float = 0.1
     q_noise: float = 0.0
     q_band: tuple[float, float] = (0.0, 0.0)
+    gust_freedom: float = 0.0
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -78,6 +80,7 @@ class PitchFamily:
         figures |= {name: (getattr(self, name), 0.0, _MOST) for name in ("gust", "q_noise")}
         figures["gust_time"] = (self.gust_time, _LEAST_TIME, _MOST)
         figures |= {"q_band[0]": (self.q_band[0], 0.0, 0.5 / PERIOD), "q_band[1]": (self.q_band[1], 0.0, 0.999)}
+        figures["gust_freedom"] = (self.gust_freedom, 0.0, _MOST)
         for name, (value, low, high) in figures.items():
             if not is_number(value, low, high):
                 raise _error(f"{name} = {shown(value)} is out of range", f"give a number from {low:g} to {high:g}")
@@ -176,7 +179,8 @@ class PitchFamily:
             seen = FittedNoise.of_rows(rows, physical["w_n"], physical["xi"])
         else:
             return found
-        return replace(found, **vars(seen))
+        seconds = sum(one["samples"] for one in document.get("identification", ()) if one["output"] == "q") * PERIOD
+        return replace(found, **vars(seen), gust_freedom=seconds / seen.gust_time)
 
     @classmethod
     def _of_several(cls, document: Mapping[str, Any], where: str) -> Self:
@@ -190,8 +194,8 @@ class PitchFamily:
             math.sqrt(float(np.mean([getattr(one, name) ** 2 for one in flights]))) for name in ("gust", "q_noise")
         )
         lasting = float(np.mean([one.gust_time for one in flights]))
-        band = flights[0].q_band
-        return cls({**flights[0].values, **mean}, tuple(wanted), p, gust, lasting, noise, band, flights[0].notes)
+        disturbance = gust, lasting, noise, flights[0].q_band, sum(one.gust_freedom for one in flights)
+        return cls({**flights[0].values, **mean}, tuple(wanted), p, *disturbance, flights[0].notes)
 
     def disturbed(
         self, gust: float | None = None, gust_time: float | None = None, q_noise: float | None = None
@@ -219,6 +223,13 @@ class PitchFamily:
             columns |= {name: drawn[:, i] for i, name in enumerate(self.uncertain)}
         return PitchMembers(**columns)
 
+    def gusts(self, count: int, seed: int = NOISE_SEED) -> Array:
+        """Draw the gust's standard deviation (count,) for as many members, as its estimate leaves it open."""
+        if not self.gust_freedom:
+            return np.full(count, self.gust)
+        freedom = max(self.gust_freedom, 4.0)
+        return np.asarray(self.gust * np.sqrt(freedom / np.random.default_rng((seed, 1)).chisquare(freedom, count)))
+
     def root(self) -> Array:
         """Return a square root of the covariance, (k, k): the root times its transpose is the covariance."""
         size = np.sqrt(np.diag(self.covariance))
@@ -235,6 +246,7 @@ class PitchFamily:
             "gust_time": self.gust_time,
             "q_noise": self.q_noise,
             "q_band": list(self.q_band),
+            "gust_freedom": self.gust_freedom,
         }
 
     @classmethod
@@ -252,6 +264,7 @@ class PitchFamily:
                 float(data["gust_time"]),
                 float(data["q_noise"]),
                 (float(band[0]), float(band[1])),
+                float(data.get("gust_freedom", 0.0)),
             )
         except (KeyError, TypeError, ValueError, IndexError) as reason:
             raise _error(f"this is not a family ({reason!s:.80})", "give the `family` of a promise", where) from reason

@@ -166,7 +166,7 @@ class PitchLoop:
         self,
         theta_0: Array,
         seed: int = 1,
-        gust: float = 0.0,
+        gust: float | Array = 0.0,
         q_noise: float = 0.0,
         q_band: tuple[float, float] = (0.0, 0.0),
         tilt: float = 0.0,
@@ -174,10 +174,10 @@ class PitchLoop:
     ) -> tuple[Array, Array, Array]:
         """Return theta, q and M, each (steps, n), for the set-point `theta_0` (steps,) [rad].
 
-        Flights start from rest, with the gust already stationary. `gust` [rad/s2] and `q_noise` [rad/s] are standard
-        deviations, `q_band` is the colour of the noise (`FittedNoise`), and `tilt` [rad/sqrt(s)] the walk of the
-        estimated theta. The returned theta and q include their noise. `progress` is called with the share done (0 to
-        1). Raise ParameterError for a set-point that is empty or not finite.
+        Flights start from rest, with the gust already stationary. `gust` [rad/s2], one or (n,), and `q_noise` [rad/s]
+        are standard deviations, `q_band` is the colour of the noise (`FittedNoise`), and `tilt` [rad/sqrt(s)] the walk
+        of the estimated theta. The returned theta and q include their noise. `progress` is called with the share done
+        (0 to 1). Raise ParameterError for a set-point that is empty or not finite.
         """
         goal = np.asarray(theta_0, dtype=float)
         if goal.ndim != 1 or not goal.size or not np.isfinite(goal).all():

@@ -406,7 +406,7 @@ def promise(
     setpoint = np.concatenate([np.zeros(_LEAD), np.full(steps, goal)])
     with np.errstate(over="ignore", invalid="ignore"):
         theta, q, moment = loop.simulate(
-            setpoint, seed, family.gust, family.q_noise, family.q_band, TILT_WALK, progress
+            setpoint, seed, family.gusts(members, seed), family.q_noise, family.q_band, TILT_WALK, progress
         )
         moment = moment - moment[_LEAD - TRIM : _LEAD].mean(axis=0)
     flown = {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}

@@ -88,20 +88,23 @@ class RailFamily:
         """
         drawn, cart = self.pitch.draw(count, seed), self._cart(count, np.random.default_rng(seed + 1))
         base = dict(load_rig(self.base).snapshot())
-        return [self._rig(drawn.one(k), cart[k], base) for k in range(count)]
+        gusts = self.pitch.gusts(count, seed).tolist()
+        return [self._rig(drawn.one(k), cart[k], base, gusts[k]) for k in range(count)]
 
     def nominal(self) -> dict[str, float]:
         """Return the parameters of the rig with the estimated values."""
         base = dict(load_rig(self.base).snapshot())
-        return self._rig(self.pitch.nominal().one(0), np.array([self.k_v, self.p_v]), base)
+        return self._rig(self.pitch.nominal().one(0), np.array([self.k_v, self.p_v]), base, self.pitch.gust)
 
-    def _rig(self, member: Mapping[str, float], cart: Array, base: Mapping[str, float]) -> dict[str, float]:
+    def _rig(
+        self, member: Mapping[str, float], cart: Array, base: Mapping[str, float], gust: float
+    ) -> dict[str, float]:
         tau = member["dead_time"] + member["lag"]
         model = {**member, "tau": tau, "k_v": float(cart[0]), "p_v": float(cart[1])}
         # The pitch's stiffness is that in flight, where running rotors take no more of it away.
         rig = identified_rig(model, {**base, "softening": 0.0})
-        if self.pitch.gust > 0.0:
-            rig["gust"], rig["gust_time"] = self.pitch.gust * rig["inertia"], self.pitch.gust_time
+        if gust > 0.0:
+            rig["gust"], rig["gust_time"] = gust * rig["inertia"], self.pitch.gust_time
         if self.pitch.q_noise > 0.0:
             rig["gyro_hover"] = self.pitch.q_noise
         if self.pitch.q_band[1] > 0.0:
