@@ -38,8 +38,12 @@ function columnsOf(u: uPlot, rowAt: (x: number) => number, into: Columns): void 
 
 const extent: Extent = { low: 0, high: 0 };
 
-/** Return the path from minimum to maximum of each pixel column, with gaps at NaN. */
-function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => number): Path2D {
+/** Rows further apart [s] were not received: no line joins them. */
+const APART = 1;
+type Apart = (row: number) => boolean;
+
+/** Return the path from minimum to maximum of each pixel column, with gaps at NaN and at rows `apart`. */
+function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => number, apart: Apart): Path2D {
   const path = new Path2D();
   let drawing = false;
   let before = NaN;
@@ -48,6 +52,7 @@ function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => n
     const to = columns.edge[k + 1]!;
     if (from >= to) continue;
     column.extent(from, to, extent);
+    if (apart(from)) drawing = false;
     if (extent.low !== extent.low) {
       drawing = false;
       continue;
@@ -66,12 +71,13 @@ function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => n
   return path;
 }
 
-/** Return the path through samples, with gaps at NaN. */
+/** Return the path through samples, with gaps at NaN and before rows that are `apart` from the last one. */
 export function samplePath(
   from: number,
   to: number,
   toX: (row: number) => number,
   toY: (row: number) => number,
+  apart: Apart = () => false,
 ): Path2D {
   const path = new Path2D();
   let drawing = false;
@@ -81,7 +87,7 @@ export function samplePath(
       drawing = false;
       continue;
     }
-    if (drawing) path.lineTo(toX(row), y);
+    if (drawing && !apart(row)) path.lineTo(toX(row), y);
     else path.moveTo(toX(row), y);
     drawing = true;
   }
@@ -104,6 +110,7 @@ export class StripPainter {
     const from = Math.max(history.first, history.rowAt(x0!) - 1);
     const to = Math.min(history.last, history.rowAt(x1!) + 1);
     const crowded = to - from > CROWDED * this.columns.count;
+    const apart = (row: number) => row > history.first && history.time(row) - history.time(row - 1) > APART;
     for (const channel of channels) {
       const column = history.column(channel.column);
       if (column === undefined) continue;
@@ -114,12 +121,13 @@ export class StripPainter {
       ctx.setLineDash((DASHES[channel.kind] ?? []).map((one) => one * devicePixelRatio));
       ctx.stroke(
         crowded
-          ? bucketPath(this.columns, column, (value) => zero + perY * value)
+          ? bucketPath(this.columns, column, (value) => zero + perY * value, apart)
           : samplePath(
               from,
               to,
               (row) => bbox.left + (history.time(row) - x0!) * perX,
               (row) => zero + perY * column.at(row),
+              apart,
             ),
       );
     }
