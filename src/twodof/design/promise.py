@@ -27,6 +27,7 @@ CHANCE = 0.05
 """Probability: a number of broken steps that is at least so likely counts as chance."""
 
 _LEAD = 500  # steps before the step, in which the gust becomes what it is in flight
+_EARLIER = (0.0, -1.0, 1.0, -1.0)  # the steps before those of `attitude-steps`, in units of the step
 _LEAST_MEMBERS, _MOST_MEMBERS = 40, 20_000
 _MOST_SAMPLES = 100_000
 
@@ -395,8 +396,8 @@ def promise(
     """Fly `members` of the family under `controller`, with its gust and noise, and promise a step of the pitch.
 
     The step of theta is by `goal` [rad] and watched for `duration` [s]. The bands are as wide at each time as the
-    responses spread there, times one factor for the whole time. `progress` is called with the share done. Raise
-    ParameterError for numbers out of range.
+    responses spread there, times one factor for the whole time. Three of four members have made a step 2 s before.
+    `progress` is called with the share done. Raise ParameterError for numbers out of range.
     """
     if not is_number(goal, 1e-3, 0.8):
         raise _error(f"a step of {shown(goal)} rad is out of range", "give 0.001 to 0.8 rad")
@@ -408,7 +409,11 @@ def promise(
         theta, q, moment = loop.simulate(
             setpoint, seed, family.gusts(members, seed), family.q_noise, family.q_band, TILT_WALK, progress
         )
-        moment = moment - moment[_LEAD - TRIM : _LEAD].mean(axis=0)
+        before = PitchLoop(family.nominal(), controller).simulate(np.full(len(setpoint), goal))
+        moment, earlier = (m - m[_LEAD - TRIM : _LEAD].mean(axis=0) for m in (moment, before[2]))
+        # What an earlier step leaves, 2 s later: none, one the other way, or one the same way.
+        left = np.resize(_EARLIER, members)
+        theta, q, moment = theta + left * (before[0] - goal), q + left * before[1], moment + left * earlier
     flown = {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}
     unstable = float(np.mean(loop.radii() >= 1.0))
     return Promise.of_flights(name, family.to_json(), "attitude", goal, level, seed, unstable, flown)
