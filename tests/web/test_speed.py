@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page
 
 from tests import toolchains
 from tests.lab.served import served
-from tests.lab.test_tuning_routes import MODEL
 from tests.patience import PATIENCE_S
 from tests.web.conftest import PROJECT, OpenPage, files_served
 from tests.web.lab_server import LabServer
@@ -32,20 +30,6 @@ MEDIAN_MS, P99_MS = 50.0, 120.0
 
 SIMULATED_MS = 1000.0
 """From a change of a diagram to its simulated flight, also where the server compiles it anew."""
-
-PREDICTED_MS = 100.0
-"""From a gain's slider to the predicted step on the screen, in the median."""
-
-PREDICTIONS = """() => {
-  globalThis.predictions = [];
-  let pressed = 0;
-  addEventListener("keydown", () => (pressed = performance.now()), true);
-  new PerformanceObserver((list) => {
-    if (!list.getEntries().some((one) => /tuning\\/\\d+\\/step$/.test(one.name))) return;
-    const asked = pressed;
-    requestAnimationFrame(() => requestAnimationFrame((now) => predictions.push(now - asked)));
-  }).observe({ type: "resource" });
-}"""
 
 FRAMES_S = 30.0
 FRAME_MS = 50.0
@@ -213,25 +197,6 @@ def test_a_million_samples_pan_and_zoom(
     tell(f"a million samples, panned and zoomed: 95 % of frames in {p95:.0f} ms, {used:.1f} ms of processor a frame")
     assert used < FRAME_MS  # what a busy machine leaves as it is
     assert p95 < FRAME_MS
-
-
-def test_the_prediction_follows_the_slider(lab_server: LabServer, open_page: OpenPage) -> None:
-    lab_server.call("PUT", "models/careful", MODEL)
-    page = open_page(f"{lab_server.link}#/tune", expects=("504",))
-    page.get_by_label("Model", exact=True).select_option("careful")
-    expect(page.get_by_text(re.compile("Stable, disk margin"))).to_be_visible(timeout=1000.0 * PATIENCE_S)
-    page.evaluate(PREDICTIONS)
-    slider = page.get_by_role("slider", name="ATT_KP, slider")
-    slider.focus()
-    for key in 20 * ("ArrowLeft", "ArrowRight"):
-        slider.press(key)
-        page.wait_for_timeout(400)
-    delays = sorted(page.evaluate("() => predictions"))
-    assert len(delays) > 20
-    lab_server.call("DELETE", "models/careful")
-    median, p95 = delays[len(delays) // 2], delays[int(0.95 * len(delays))]
-    tell(f"slider to prediction: median {median:.0f} ms, 95 % {p95:.0f} ms of {len(delays)}")
-    assert median < PREDICTED_MS
 
 
 def live_memory(page: Page) -> int:

@@ -1,8 +1,10 @@
 """PitchFamily: a pitch model identified from logs, with the covariance of its parameters and its disturbances."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -112,23 +114,23 @@ class PitchFamily:
         return cls(_complete(values), tuple(spread), p, gust, gust_time, q_noise)
 
     @classmethod
-    def from_identified(cls, document: object, where: str = "model") -> Self:
+    def from_identified(cls, document: object, where: str = "model", noise: bool = True) -> Self:
         """Return the family in `document`, the output of `twodof identify --json` for one flight or for several.
 
         For one flight each parameter has the larger of its plain and its robust standard deviation. Gust and gyro have
         the spectrum of the noise that was fitted (`FittedNoise`); residuals taken for white are the gyro's. For several
         flights their spread counts, for what differs between them also differs in the next one. An estimate beyond its
-        physical bound is taken for the bound. Raises ParameterError for another document and where w_n, xi, mu or tau
-        is missing.
+        physical bound is taken for the bound. Without `noise` that of the fit is left out, whose parting takes a part
+        of a second. Raises ParameterError for another document and where w_n, xi, mu or tau is missing.
         """
         if not isinstance(document, Mapping):
             raise _error(f"{shown(document)} is not a model", "give the output of `twodof identify --json`", where)
         try:
             if "repeated" in document:
-                return cls._of_several(document, where)
+                return cls._of_several(document, where, noise)
             if "model" in document and "estimates" not in document:
                 return cls.of({k: float(v) for k, v in document["model"].items()})
-            return cls._of_one(document, where)
+            return cls._of_one(document, where, noise)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as reason:
             raise _error(
                 f"this is not an identified model ({type(reason).__name__}: {reason!s:.80})",
@@ -137,7 +139,7 @@ class PitchFamily:
             ) from reason
 
     @classmethod
-    def _of_one(cls, document: Mapping[str, Any], where: str) -> Self:
+    def _of_one(cls, document: Mapping[str, Any], where: str, noise: bool) -> Self:
         estimates = document["estimates"]
         labels = list(estimates)
         given = {name: float(value) for name, value in document.get("fixed", {}).items()}
@@ -161,11 +163,11 @@ class PitchFamily:
         at = [labels.index(label) for label in wanted]
         correlation = np.array(document["correlation"], dtype=float)[np.ix_(at, at)]
         correlation = np.where(np.isfinite(correlation), correlation, np.eye(len(at)))
-        noise = float(document.get("noise", {}).get("q", 0.0))
+        residual = float(document.get("noise", {}).get("q", 0.0))
         covariance = correlation * np.outer(sigmas, sigmas)
         covariance = 0.5 * (covariance + covariance.T)
         physical, notes = _physical(_complete(values))
-        found = cls(physical, tuple(map(_own, wanted)), covariance, q_noise=noise, notes=notes)
+        found = cls(physical, tuple(map(_own, wanted)), covariance, q_noise=residual, notes=notes)
         fitted = document.get("disturbance") or {}
         gusts, rows = fitted.get("gusts", {}).get("q"), list(fitted.get("noise", {}).values())
         if gusts is not None:
@@ -175,7 +177,7 @@ class PitchFamily:
                 (gusts["frequency"], gusts.get("radius", _USUAL_RADIUS) ** 2),
             )
             seen = FittedNoise.of_parts(push, gusts["correlation_time"], gusts["white"], gusts["narrow"], *band)
-        elif rows:
+        elif rows and noise:
             seen = FittedNoise.of_rows(rows, physical["w_n"], physical["xi"])
         else:
             return found
@@ -183,18 +185,18 @@ class PitchFamily:
         return replace(found, **vars(seen), gust_freedom=seconds / seen.gust_time)
 
     @classmethod
-    def _of_several(cls, document: Mapping[str, Any], where: str) -> Self:
-        flights = [cls._of_one(one, where) for one in document["flights"].values()]
+    def _of_several(cls, document: Mapping[str, Any], where: str, noise: bool) -> Self:
+        flights = [cls._of_one(one, where, noise) for one in document["flights"].values()]
         wanted = [name for name in map(_own, _told_apart(document["repeated"])) if name in PARAMETERS]
         rows = np.array([[one.values[name] for name in wanted] for one in flights])
         mean = dict(zip(wanted, rows.mean(axis=0).tolist(), strict=True))
         # The next flight differs from this mean by its own part and by what the mean is off.
         p = np.atleast_2d(np.cov(rows, rowvar=False, ddof=1)) * (1.0 + 1.0 / len(rows))
-        gust, noise = (
+        gust, gyro = (
             math.sqrt(float(np.mean([getattr(one, name) ** 2 for one in flights]))) for name in ("gust", "q_noise")
         )
         lasting = float(np.mean([one.gust_time for one in flights]))
-        disturbance = gust, lasting, noise, flights[0].q_band, sum(one.gust_freedom for one in flights)
+        disturbance = gust, lasting, gyro, flights[0].q_band, sum(one.gust_freedom for one in flights)
         return cls({**flights[0].values, **mean}, tuple(wanted), p, *disturbance, flights[0].notes)
 
     def disturbed(
@@ -313,6 +315,12 @@ def _complete(values: Mapping[str, float]) -> dict[str, float]:
     if "dead_time" not in own and "tau" in values:
         own["dead_time"] = values["tau"] - own.get("lag", 0.0)
     return {"lag": 0.0, **own}
+
+
+@lru_cache(maxsize=8)
+def family_in(text: str) -> PitchFamily:
+    """Return the family in a model's JSON, kept, as to part its noise takes a search. Raises as `from_identified`."""
+    return PitchFamily.from_identified(json.loads(text))
 
 
 def _physical(values: Mapping[str, float]) -> tuple[dict[str, float], tuple[str, ...]]:

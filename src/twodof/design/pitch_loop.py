@@ -183,6 +183,8 @@ class PitchLoop:
         if goal.ndim != 1 or not goal.size or not np.isfinite(goal).all():
             what = f"a set-point of shape {goal.shape} is empty, not finite or of more than one dimension"
             raise ParameterError(what, "simulate", "give finite numbers of shape (steps,)")
+        from scipy.signal import lfilter  # imported late: most commands start without it
+
         a, b, c, d = self.matrices
         n, steps = len(self.members), goal.size
         rng = np.random.default_rng(seed)
@@ -190,25 +192,44 @@ class PitchLoop:
         x[:, GUST, 0] = gust * rng.standard_normal(n)
         fresh = gust * np.sqrt(1.0 - np.exp(-2.0 * PERIOD / self.gust_time))
         out = np.empty((steps, n, 3))
-        given = np.zeros((n, 3, 1))
-        turn, radius = (1.0 + q_band[1]) * np.cos(2.0 * np.pi * q_band[0] * PERIOD), q_band[1]
         # The vibration is white noise through a band-pass (`rig.sensors`), of variance 1.
-        last, before, w1, w2 = np.zeros((4, n))
-        for k in range(steps):
-            if k % _CHUNK == 0:
-                progress(k / steps)
-            white = noise = rng.standard_normal(n)
-            if radius > 0.0:
-                noise = np.sqrt(0.5 * (1.0 - radius)) * (white - w2) + turn * last - radius * before
-            w1, w2, last, before = white, w1, noise, last
-            given[:, 0, 0], given[:, 2, 0] = goal[k], q_noise * noise
-            out[k] = (c @ x + d @ given)[..., 0]
-            x = a @ x + b @ given
-            given[:, 1] = _LEAK * given[:, 1] + PERIOD * given[:, 2]
-            given[:, 1, 0] += tilt * PERIOD**0.5 * rng.standard_normal(n)
-            out[k, :, 0] += given[:, 1, 0]
-            x[:, GUST, 0] += fresh * rng.standard_normal(n)
+        size, turn, radius = np.sqrt(0.5 * (1.0 - q_band[1])), np.cos(2.0 * np.pi * q_band[0] * PERIOD), q_band[1]
+        band = ([size, 0.0, -size], [1.0, -(1.0 + radius) * turn, radius]) if radius > 0.0 else ([1.0], [1.0])
+        kept, walked = np.zeros((len(band[0]) - 1, n)), np.zeros((1, n))
+        for start in range(0, steps, _CHUNK):
+            progress(start / steps)
+            now = slice(start, min(start + _CHUNK, steps))
+            white, walk, push = rng.standard_normal((now.stop - start, 3, n)).swapaxes(0, 1)
+            noise, kept = lfilter(*band, white, axis=0, zi=kept)
+            given = np.empty((len(noise), n, 3))
+            given[:, :, 0], given[:, :, 2] = goal[now, None], q_noise * noise
+            moved = PERIOD * given[:, :, 2] + tilt * PERIOD**0.5 * walk
+            after, _ = lfilter([1.0], [1.0, -_LEAK], moved, axis=0, zi=_LEAK * walked)
+            given[:, :, 1] = np.concatenate([walked, after[:-1]])
+            walked = after[-1:]
+            drive = np.matmul(b, given[..., None])
+            drive[:, :, GUST, 0] += fresh * push
+            states = np.empty_like(drive)
+            for k in range(len(drive)):
+                states[k] = x
+                x = a @ x + drive[k]
+            out[now] = (c @ states + d @ given[..., None])[..., 0]
+            out[now, :, 0] += after
         return out[..., 0], out[..., 1], out[..., 2]
+
+    def after_step(self, goal: float, steps: int) -> Array:
+        """Return theta, q and M (3, steps, 1) of the first member after a step to `goal` [rad], without gust and noise.
+
+        States are doubled in number by powers of the loop's matrix: far sooner there than `simulate`.
+        """
+        a, b, c, d = (part[0] for part in self.matrices)
+        power, states = np.eye(len(a) + 1), np.eye(1, len(a) + 1, len(a))
+        power[:-1, :-1], power[:-1, -1] = a, b[:, 0] * goal
+        while len(states) < steps:
+            states = np.concatenate([states, states @ power.T])
+            power = power @ power
+        out = states[:steps, :-1] @ c.T + d[:, 0] * goal
+        return np.asarray(out.T[..., None])
 
 
 PITCH_LOOPS = ("motors", "rate", "attitude")

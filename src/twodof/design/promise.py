@@ -409,7 +409,7 @@ def promise(
         theta, q, moment = loop.simulate(
             setpoint, seed, family.gusts(members, seed), family.q_noise, family.q_band, TILT_WALK, progress
         )
-        before = PitchLoop(family.nominal(), controller).simulate(np.full(len(setpoint), goal))
+        before = PitchLoop(family.nominal(), controller).after_step(goal, len(setpoint))
         moment, earlier = (m - m[_LEAD - TRIM : _LEAD].mean(axis=0) for m in (moment, before[2]))
         # What an earlier step leaves, 2 s later: none, one the other way, or one the same way.
         left = np.resize(_EARLIER, members)

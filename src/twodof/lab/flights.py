@@ -224,14 +224,14 @@ def identify(
 
 def design(
     progress: Callable[[float, str], None],
-    family: dict[str, Any],
+    model: dict[str, Any],
     place: str,
     crossover: float,
     phase_margin: float | None,
     method: str,
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Design a controller for `family`, promise its step, and write its diagram to the file `place`.
+    """Design a controller for the family of `model`, promise its step, and write its diagram to the file `place`.
 
     A controller that does not keep the family stable is not written: `file` is None.
     """
@@ -240,7 +240,7 @@ def design(
     check_free(path, overwrite)
     progress(0.02, "the gains")
     made = design_controller(
-        PitchFamily.from_json(family),
+        PitchFamily.from_identified(model),
         crossover,
         phase_margin,
         method=method,

@@ -85,6 +85,7 @@ class LabServer:
         if self._warming is not None:
             self._warming.cancel()
         await self.jobs.close()
+        await self.guard.close()
         await self.workbench.close()
         await self.log_bench.close()
         await self.drones.close()

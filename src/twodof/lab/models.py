@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_family import PitchFamily, family_in
 from twodof.design.tuning_preview import GAINS, PitchLaw
 from twodof.errors import DiagramError, LogError, ParameterError, Rejected, TwodofError
 from twodof.flight.templates import ATTITUDE
@@ -75,8 +75,8 @@ class ModelFolder(NamedFiles):
         return self._parsed(name, _DOCUMENT)
 
     def family(self, name: str) -> PitchFamily:
-        """Return a pitch model's family, for tuning and design. Raises NotThere, ParameterError for another kind."""
-        return PitchFamily.from_identified(self.read(name), f"model {name}")
+        """Return a pitch model's family, without its noise. Raises NotThere, ParameterError for another kind."""
+        return PitchFamily.from_identified(self.read(name), f"model {name}", noise=False)
 
     def digest(self, name: str) -> str:
         """Return the digest of a model's bytes. Raises NotThere."""
@@ -186,16 +186,16 @@ def judge(
     changes: dict[str, float],
     diagram: str | None,
     paths: dict[str, str],
-    family: dict[str, Any],
+    model: str,
     goal: float | None,
 ) -> dict[str, Any]:
-    """Judge the pitch law with `changes` on the `family`; with a `goal` [rad] add the preview of the page.
+    """Judge the pitch law with `changes` on the family of a `model` (JSON); with a `goal` [rad] add the page's preview.
 
     `touches` is True if the changes affect the law; if it is False and `goal` is None, the verdict is missing.
     `unstable` is True if a sampled drone, or one that the search found, is unstable.
     """
     before, after = PitchLaw.flown(values, diagram, paths), PitchLaw.flown({**values, **changes}, diagram, paths)
-    own = PitchFamily.from_json(family)
+    own = family_in(model)
     told: dict[str, Any] = {
         "controller": after.name,
         "touches": before.digest != after.digest,
@@ -218,11 +218,11 @@ def predicted_step(
     changes: dict[str, float],
     diagram: str | None,
     paths: dict[str, str],
-    family: dict[str, Any],
+    model: str,
     goal: float,
 ) -> dict[str, Any]:
     """Predict the step of theta by `goal` [rad] under the pitch law with `changes`."""
-    return PitchLaw.flown({**values, **changes}, diagram, paths).step(PitchFamily.from_json(family), goal)
+    return PitchLaw.flown({**values, **changes}, diagram, paths).step(family_in(model), goal)
 
 
 SECONDS = 60.0
@@ -233,11 +233,11 @@ class TuningGuard:
     """Guard that refuses gains that are unstable within the uncertainty of the chosen model, unless confirmed.
 
     Only a preview has the token for the confirmation, which is valid for these gains, this model and this run of the
-    server.
+    server. Steps are predicted in a process of their own: they follow a slider, and a verdict takes a second.
     """
 
     def __init__(self, models: ModelFolder, bench: Workbench) -> None:
-        self._models, self._bench = models, bench
+        self._models, self._bench, self._steps = models, bench, Workbench()
         self._secret = secrets.token_bytes(32)
 
     async def ask(
@@ -249,20 +249,25 @@ class TuningGuard:
         goal: float | None,
     ) -> dict[str, Any]:
         """Return `judge` or `predicted_step` of changes by name or path. Raises as these, NotThere, LinkLost."""
-        family = self._models.family(model)
+        document = json.dumps(self._models.read(model))
         given, active = await self._named(one, changes)
         entries = await one.connection.parameters.entries()
         diagram = active.diagrams.get(ATTITUDE.name)
-        return await self._bench.do(
+        bench = self._steps if what is predicted_step else self._bench
+        return await bench.do(
             what,
             _own_names({entry.name: entry.value for entry in entries}),
             given,
             None if diagram is None else diagram.decode(),
             dict(active.paths),
-            family.to_json(),
+            document,
             goal,
             seconds=SECONDS,
         )
+
+    async def close(self) -> None:
+        """End the process that predicts steps."""
+        await self._steps.close()
 
     async def check(self, one: LabDrone, changes: Mapping[str, float], confirm: str) -> None:
         """Check a change. Raises Rejected for a missing or wrong token, or if the change cannot be judged."""

@@ -260,7 +260,8 @@ def test_an_experiment_is_one_log_and_the_drone_stands_as_before(drone: tuple[Se
             assert event.get("job", {}).get("state") != "failed", event
             if event["event"] == "log":
                 break
-        told = server.ask("GET", f"/api/jobs/{started.json['id']}").json["result"]
+        answers = (server.ask("GET", f"/api/jobs/{started.json['id']}").json["result"] for _ in patiently())
+        told = next(result for result in answers if result is not None)
     assert (told["rings_locked"], told["put_back"]) == (True, True)
     assert {state["link"] for state in states} == {"heard"}
     assert {state["recording"] for state in states} == {""}

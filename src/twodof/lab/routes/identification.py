@@ -195,6 +195,6 @@ async def controller(lab: CurrentLab, name: ModelName, asked: ControllerRequest)
     Its result has the diagram's `file` among the user's diagrams. A controller that does not keep the family stable is
     not written.
     """
-    family = lab.models.family(name)
+    lab.models.family(name)  # refused at once if it is not of the pitch
     given = (str(lab.diagrams.place(asked.name)), asked.crossover, asked.phase_margin, asked.method, asked.overwrite)
-    return lab.jobs.start("controller", design, family.to_json(), *given).to_json()
+    return lab.jobs.start("controller", design, lab.models.read(name), *given).to_json()
