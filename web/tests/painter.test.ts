@@ -1,9 +1,17 @@
-import { describe, expect, it, vi } from "vitest";
+import { afterAll, describe, expect, it, vi } from "vitest";
 import { StripPainter } from "../src/chart/draw/painter";
 import { History } from "../src/chart/history";
 import type { Channel } from "../src/chart/kinds";
 
-vi.mock("../src/chart/draw/canvas", () => ({ colour: () => "black" }));
+vi.stubGlobal("document", { createElement: () => ({ style: {} }), body: { append: () => {} } });
+vi.stubGlobal("matchMedia", () => ({ addEventListener: () => {} }));
+vi.stubGlobal(
+  "MutationObserver",
+  class {
+    observe(): void {}
+  },
+);
+vi.stubGlobal("getComputedStyle", () => ({ color: "black" }));
 vi.stubGlobal("devicePixelRatio", 1);
 vi.stubGlobal(
   "Path2D",
@@ -15,6 +23,8 @@ vi.stubGlobal(
     lineTo(): void {}
   },
 );
+
+afterAll(() => vi.unstubAllGlobals());
 
 describe("a live curve", () => {
   it.each([
