@@ -119,8 +119,8 @@ class Decimation:
         if not whole:
             return np.empty(0), values[:0]
         ends = np.stack([first[:-1], first[1:] - 1], axis=1).reshape(-1)
-        inside = np.full((len(first) - 1, self.ticks, values.shape[1]), np.nan, dtype=np.float32)
-        inside[bucket[:whole], ticks[:whole] % self.ticks] = values[:whole]
+        inside = np.full((len(first) - 1, int(np.diff(first).max()), values.shape[1]), np.nan, dtype=np.float32)
+        inside[bucket[:whole], np.arange(whole) - first[bucket[:whole]]] = values[:whole]
         absent = np.isnan(inside)
         least = np.where(absent, np.inf, inside).argmin(axis=1)
         most = np.where(absent, -np.inf, inside).argmax(axis=1)
