@@ -104,6 +104,21 @@ def test_a_value_is_held_and_another_file_validates(folder: Path, capfd: pytest.
     assert len(found["validation"]) == 1
 
 
+def test_a_prior_is_weighed_against_the_data(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = [str(folder / "m.csv"), "--structure", str(folder / "model.py:structure"), *COLUMNS]
+    plain = answer(arguments, capfd)["estimates"]["gain"]
+    mean = plain["value"] + 2.0 * plain["sigma"]
+    known = f"gain={mean},{plain['sigma']}"
+    weighed = answer([*arguments, "--prior", known], capfd)
+    assert weighed["prior"] == {"gain": [mean, plain["sigma"]]}
+    # Two sources of one weight meet half-way, but for the noise, which is estimated anew.
+    middle = plain["value"] + plain["sigma"]
+    assert weighed["estimates"]["gain"]["value"] == pytest.approx(middle, abs=0.1 * plain["sigma"])
+    # What a prior speaks of is estimated.
+    both = answer([*arguments, "--estimate", "time_constant", "--prior", known], capfd)["estimates"]
+    assert list(both) == ["time_constant", "gain"]
+
+
 def test_a_ready_made_structure_fits_columns_too(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = [str(folder / "m.csv"), "--model", "velocity", "--input", "theta=volt", "--output", "v=back"]
     found = answer([*arguments, "--time", "stamp", "--estimate", "p_v", "--estimate", "k_v"], capfd)
@@ -132,6 +147,9 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
     ("arguments", "reason"),
     [
         (["--input", "u=volt"], "which structure"),
+        (["--structure", "model.py", *COLUMNS, "--prior", "gain=20"], "is not NAME=MEAN,SIGMA"),
+        (["--structure", "model.py", *COLUMNS, "--prior", "gian=20,1"], "no unknown 'gian'"),
+        (["--structure", "model.py", *COLUMNS, "--prior", "gain=20,0"], "give (mean, standard deviation)"),
         (["--structure", "model.py:nothing", *COLUMNS], "has no 'nothing'"),
         (["--structure", "model.py:number", *COLUMNS], "a int is not a structure"),
         (["--structure", "model.py:broken", *COLUMNS], "ZeroDivisionError"),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -59,6 +59,12 @@ def identify(
     ] = None,
     estimate: Annotated[list[str] | None, option("Unknown to estimate; repeat for several.")] = None,
     value: Annotated[list[str] | None, option("First guess, or fixed value; repeatable.", "NAME=NUMBER")] = None,
+    prior: Annotated[
+        list[str] | None,
+        option(
+            "What is known of an unknown: mean and standard deviation; inf: nothing. Repeatable.", "NAME=MEAN,SIGMA"
+        ),
+    ] = None,
     validate: Annotated[list[Path] | None, option("Log to validate on; repeatable.", "LOG")] = None,
     impulse: Annotated[
         Path | None, option("Of a doublet: the impulse's log, from which the poles come; by hand it is needed.", "LOG")
@@ -126,7 +132,8 @@ def identify(
         check_free(out, force)
     if plot is not None:
         check_place(plot, force)
-    numbers = _numbers(value or [])
+    numbers = {name: one for name, (one,) in _numbers(value or [], "NAME=NUMBER").items()}
+    before = {name: (mean, width) for name, (mean, width) in _numbers(prior or [], "NAME=MEAN,SIGMA").items()}
     clock = {name: column for name, column in (("time", time), ("period", period)) if column is not None}
     if structure is not None or input or output or clock or hold:
         both = structure is not None and model != AUTO
@@ -138,16 +145,16 @@ def identify(
             (unknown, "which structure is to be fitted to these columns?", columns, structures),
         )
         shape = read_structure(structure, estimate or ()) if structure is not None else structure_for("", model)
-        _check_unknowns(shape, estimate or (), numbers)
+        _check_unknowns(shape, estimate or (), numbers, before)
         records, others = (
             [own_record(path, shape, input or (), output or (), clock, window, hold or ()) for path in paths]
             for paths in (files, validate or ())
         )
         records = _distinctly_named(records, files)
+        wanted = estimate and [*estimate, *(name for name in before if name not in estimate)]
+        options: dict[str, Any] = {"estimate": wanted, "values": numbers, "disturbance": disturbance, "prior": before}
         own: Estimate | Repeated = (
-            repeat(shape, records, estimate=estimate, values=numbers, disturbance=disturbance)
-            if several
-            else fit(shape, records[0], estimate=estimate, values=numbers, validation=others, disturbance=disturbance)
+            repeat(shape, records, **options) if several else fit(shape, records[0], validation=others, **options)
         )
         _say(own, {"method": method}, out, json, own.converged)
         if plot is not None and isinstance(own, Estimate):
@@ -161,7 +168,9 @@ def identify(
     asked = kinds[0]
     if experiment is None and "experiment" not in logs[0].provenance:
         say_line(f"note: the log looks like the experiment '{asked}'; --experiment names another")
-    read_off = _given(model=model != AUTO, estimate=estimate, value=value, disturbance=disturbance != "auto")
+    read_off = _given(
+        model=model != AUTO, estimate=estimate, value=value, prior=prior, disturbance=disturbance != "auto"
+    )
     hand, grey = asked if simple else "", "leave it out, or take --method grey-box"
     poles = impulse is not None and asked != "doublet"
     _refuse(
@@ -197,10 +206,12 @@ def identify(
                 "leave --model out",
             ),
         )
-        _check_unknowns(shape, estimate or (), numbers)
+        _check_unknowns(shape, estimate or (), numbers, before)
         flown = zip([*logs, *checks], [*records, *others], strict=True)
         machines = [machine_of(log, one.start, float(one.time[-1])) for log, one in flown]
-        found, records = by_output_error(asked, shape, records, others, estimate, numbers, free, disturbance, machines)
+        found, records = by_output_error(
+            asked, shape, records, others, estimate, numbers, free, disturbance, machines, before
+        )
         converged = found.converged
         if plot is not None and isinstance(found, Estimate):
             if reference is not None:
@@ -279,10 +290,12 @@ def _experiment(name: str | None, log: FlightLog) -> str:
     return FLOWN_AS.get(said, said)
 
 
-def _check_unknowns(structure: Structure, estimate: Sequence[str], values: dict[str, float]) -> None:
+def _check_unknowns(
+    structure: Structure, estimate: Sequence[str], values: dict[str, float], prior: dict[str, tuple[float, float]]
+) -> None:
     """Raise ParameterError for a wrong unknown or a value out of bounds."""
     unknowns = structure.unknowns
-    for where, names in (("--estimate", estimate), ("--value", values)):
+    for where, names in (("--estimate", estimate), ("--value", values), ("--prior", prior)):
         for name in names:
             if name not in unknowns:
                 raise ParameterError(f"no unknown {name!r}", where, f"there are: {', '.join(unknowns)}")
@@ -292,14 +305,15 @@ def _check_unknowns(structure: Structure, estimate: Sequence[str], values: dict[
             raise ParameterError(f"{number:g} is out of bounds", f"--value {name}", f"{low:g} to {high:g} is possible")
 
 
-def _numbers(pairs: Sequence[str]) -> dict[str, float]:
+def _numbers(pairs: Sequence[str], form: str) -> dict[str, list[float]]:
+    """Return the numbers of each "NAME=NUMBER,..." as many as `form` has. Raises BadParameter."""
     found = {}
     for pair in pairs:
-        name, sign, number = pair.partition("=")
+        name, _, numbers = pair.partition("=")
         try:
-            found[name] = float(number)
+            found[name] = [float(number) for number in numbers.split(",")]
         except ValueError:
-            sign = ""
-        if not sign:
-            raise typer.BadParameter(f"{pair!r} is not NAME=NUMBER")
+            found[name] = []
+        if len(found[name]) != form.count(",") + 1:
+            raise typer.BadParameter(f"{pair!r} is not {form}")
     return found

@@ -164,11 +164,13 @@ def identify_flight(
     others: Sequence[FlightLog] = (),
     window: tuple[float, float] | None = None,
     disturbance: Disturbance = "auto",
+    prior: Mapping[str, tuple[float, float]] | None = None,
 ) -> IdentifiedFlight:
     """Identify an experiment of `KINDS` (None: what the log holds) by output error, and by hand beside it.
 
     `impulse` is the log of a free response, from which the poles of a doublet come. `others` validate. `window` [s] is
-    the stretch of the log, `structure` a name of `ready_made.STRUCTURES`. Raises LogError and IdentificationError.
+    the stretch of the log, `structure` a name of `ready_made.STRUCTURES`, `prior` as in `fit`.
+    Raises LogError and IdentificationError.
     """
     kind = experiment_in(log) if experiment is None else experiment
     if kind not in KINDS:
@@ -182,7 +184,7 @@ def identify_flight(
     flown = zip((log, *others), (record, *checks), strict=True)
     machines = [machine_of(one, cut_out.start, float(cut_out.time[-1])) for one, cut_out in flown]
     found, fitted = by_output_error(
-        kind, shape, [record], checks, free=free, disturbance=disturbance, machines=machines
+        kind, shape, [record], checks, free=free, disturbance=disturbance, machines=machines, prior=prior
     )
     if not isinstance(found, Estimate):
         raise IdentificationError("one log gives one estimate", kind)

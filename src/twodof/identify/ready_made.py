@@ -313,19 +313,22 @@ def by_output_error(
     free: Record | None = None,
     disturbance: Disturbance = "auto",
     machines: Sequence[FlownMachine] = (),
+    prior: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[Estimate | Repeated, list[Record]]:
     """Fit by output error; return the estimate and the records as fitted and validated (in closed loop in pieces).
 
     `machines` are those of the flights, one for each of `records` and then of `others`. In closed loop
     the cart is held at its calibration, and less certain figures are priors. A prior that is not asked for is held at
     its mean. In a long open loop the poles have priors; along the rail the gyro's bias and the dry friction have them,
-    and what a calibration gives of the rotors is held. `free` is the impulse's record of a doublet: its fit with the
-    same structure fixes the poles. Several `records` are repetitions, each fitted by itself.
+    and what a calibration gives of the rotors is held. `prior`, by unknown, takes the place of these. `free` is the
+    impulse's record of a doublet: its fit with the same structure fixes the poles. Several `records` are repetitions,
+    each fitted by itself.
     Raises IdentificationError as `fit` and `repeat`, and for flights in closed loop of different machines.
     """
     if len(records) > 1:
         check_repetitions([record.name for record in records])
-    given, checked = dict(values or {}), list(others)
+    structure.check_names(prior or {})
+    given, checked = {name: one for name, one in (values or {}).items() if name not in (prior or {})}, list(others)
     wanted = tuple(estimate) if estimate else None
     if free is not None:
         swing = fit(structure, free, values=given, disturbance=disturbance)
@@ -372,6 +375,10 @@ def by_output_error(
             given = {**{name: value for name, value in calibrated.items() if name in structure.unknowns}, **given}
             wanted = wanted or (*TRAVEL, *before)
             before = {name: one for name, one in before.items() if name in wanted and name not in given}
+    if prior:  # what it speaks of is estimated
+        before = {**(before or {}), **prior}
+        wanted = tuple(dict.fromkeys((*(wanted or structure.estimate), *prior)))
+        given = {name: one for name, one in given.items() if name not in prior}
     options: dict[str, Any] = {"estimate": wanted, "values": given, "disturbance": disturbance, "prior": before}
     # Repetitions in open loop are checked on each other.
     unseen = checked if experiment == "attitude" or len(records) == 1 else ()

@@ -207,6 +207,7 @@ def identify(
     others: list[str],
     window: tuple[float, float] | None,
     disturbance: Any,
+    prior: dict[str, tuple[float, float]],
 ) -> dict[str, Any]:
     """Identify a model from a log; return the `view` of the fit for the page, and the `model` as it is kept."""
     progress(0.05, "reading the log")
@@ -215,7 +216,7 @@ def identify(
     checks = [read_log(other) for other in others]
     progress(0.2, "searching the model")
     found = identify_flight(
-        log, kind, structure=structure, impulse=free, others=checks, window=window, disturbance=disturbance
+        log, kind, structure=structure, impulse=free, others=checks, window=window, disturbance=disturbance, prior=prior
     )
     progress(0.9, "testing the residuals")
     view = found.view()

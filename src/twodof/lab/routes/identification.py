@@ -50,6 +50,7 @@ class FitRequest(RequestBody):
 
     `kind` is the kind of experiment; left out, it comes from the log. `impulse` is a free response, from which a
     doublet's poles come. `others` are logs of the same kind to validate on. `window` [s] is a stretch of the log.
+    `prior` has means and standard deviations.
     """
 
     log: LogName
@@ -59,6 +60,9 @@ class FitRequest(RequestBody):
     others: Annotated[list[LogName], Field(max_length=8)] = Field(default_factory=list)
     window: Annotated[tuple[Second, Second], Field(strict=False)] | None = None  # JSON has no tuples
     disturbance: Literal["auto", "white", "ar", "input"] = "auto"
+    prior: Annotated[dict[str, Annotated[tuple[float, float], Field(strict=False)]], Field(max_length=20)] = Field(
+        default_factory=dict
+    )
 
 
 @router.get("")
@@ -120,7 +124,7 @@ async def fitted(lab: CurrentLab, asked: FitRequest) -> dict[str, Any]:
         raise ParameterError(what, "kind", f"choose one of {listed(KINDS)}")
     impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
     others = [str(lab.whole_log(name)) for name in asked.others]
-    given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance)
+    given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance, asked.prior)
     return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given).to_json()
 
 
