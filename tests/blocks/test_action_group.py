@@ -43,7 +43,7 @@ def broken() -> Diagram:
         ({"a": action("a")}, {"values": {"a": []}}, "number of values"),
         ({"a": action("a")}, {"initial": {"z": 1.0}}, "no output 'z'"),
         ({"choice": action("a")}, {}, "choice"),
-        ({"a": action("a"), "b": broken()}, {}, "group.b.y: the output is not connected"),
+        ({"a": action("a"), "b": broken()}, {}, "group.b.y: the output y is not connected"),
     ],
 )
 def test_what_cannot_be_chosen_from_is_refused(actions: dict[str, Diagram], options: Any, complaint: str) -> None:

@@ -224,7 +224,7 @@ def test_an_input_has_one_source_whether_whole_or_by_field() -> None:
     for destination in ("two.u", "two.u.rates", "two.u.rates.p"):
         with pytest.raises(DiagramError, match="has two sources"):
             d.connect("a", destination)
-    with pytest.raises(DiagramError, match=r"two\.u\.roll: the input is not connected"):
+    with pytest.raises(DiagramError, match=r"two\.u\.roll: the input u\.roll is not connected"):
         build(d, 0.1)
 
 

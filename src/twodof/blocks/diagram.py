@@ -342,7 +342,7 @@ def no_parameter(outer: str, diagram: Diagram, path: str) -> DiagramError:
 
 def not_connected(end: str, path: str) -> DiagramError:
     """Return the error for an "input" or "output" (`end`) at `path` without a source."""
-    return DiagramError(f"the {end} is not connected", path, "connect it or remove it")
+    return DiagramError(f"the {end} {path.rpartition('.')[2]} is not connected", path, "connect it or remove it")
 
 
 def check_condition(signal: Typed, source: str, what: str, path: str) -> None:

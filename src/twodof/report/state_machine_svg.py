@@ -6,12 +6,10 @@ lies on a line.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from inspect import cleandoc
 
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import machine_text
 from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import ACTIONS
@@ -81,7 +79,7 @@ def machine_at(diagram: Diagram, path: str) -> StateMachine | None:
 
 def draw_machine(machine: StateMachine) -> MachineDrawing:
     """Lays out a machine. Raises DiagramError for one that is wrong."""
-    chart, graph = machine.chart, machine.graph
+    chart = machine.chart
     boxes = {name: ModeBox(mode, _action_lines(machine, mode)) for name, mode in chart.by_name.items()}
     for number, t in enumerate(chart.transitions):
         boxes[t.source].leaving.append(number)
@@ -94,10 +92,7 @@ def draw_machine(machine: StateMachine) -> MachineDrawing:
     for mode in chart.modes:
         y = _place(boxes, mode, LEFT, y, outer, inner) + GAP
     label_x = LEFT + outer + 10.0
-    labels = [
-        _label(boxes[t.source].leaving.index(k) + 1, graph.guards[k], graph.does[k])
-        for k, t in enumerate(chart.transitions)
-    ]
+    labels = [_label(boxes[t.source].leaving.index(k) + 1, machine, k) for k, t in enumerate(chart.transitions)]
     lanes_x = label_x + max((text_width(text, SMALL) for text in labels), default=0.0) + 12.0
     spans = [(boxes[t.source].end(k, True), boxes[t.target].end(k, False)) for k, t in enumerate(chart.transitions)]
     lanes = _lanes(spans)
@@ -154,14 +149,21 @@ def _action_lines(machine: StateMachine, mode: Mode) -> list[str]:
     lines = []
     for action in ACTIONS:
         given = machine.graph.action(mode.name, action)
-        lines += [f"{action}: {name} = {machine_text(e)}" for name, e in given.items()]
+        function = machine.chart.actions.get((mode.name, action))
+        if function is not None and function.text is not None:
+            lines.append(f"{action}: {function.text}")
+        else:
+            lines += [f"{action}: {name} = {machine_text(e)}" for name, e in given.items()]
     return [shortened(line, SMALL, WIDEST) for line in lines]
 
 
-def _label(order: int, guard: Expr, does: Mapping[str, Expr]) -> str:
-    """Return a transition's label: its order in its mode, guard and actions."""
-    test = "always" if guard.op == "const" else machine_text(guard)
+def _label(order: int, machine: StateMachine, number: int) -> str:
+    """Return a transition's label: its order in its mode, guard and actions, as they were written if as texts."""
+    chart, guard, does = machine.chart, machine.graph.guards[number], machine.graph.does[number]
+    test = "always" if guard.op == "const" else chart.guards[number].text or machine_text(guard)
+    function = chart.does[number]
     doing = "; ".join(f"{name} = {machine_text(e)}" for name, e in does.items())
+    doing = (function and function.text) or doing
     return shortened(f"{order}: {test}" + (f" / {doing}" if doing else ""), SMALL, WIDEST)
 
 

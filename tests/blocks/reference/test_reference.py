@@ -202,8 +202,11 @@ def test_a_float32_run_rounds_after_every_operation() -> None:
             lambda d: (d.add("a", Gain()), d.add("b", Gain(), u="a"), d.connect("b", "a")),
             r"algebraic loop .*a\.y.*b\.y",
         ),
-        (lambda d: d.add("a", Gain()), r"loose\.?.*a\.u: the input is not connected|a\.u: the input is not connected"),
-        (lambda d: d.output("y"), r"loose\.y: the output is not connected"),
+        (
+            lambda d: d.add("a", Gain()),
+            r"loose\.?.*a\.u: the input u is not connected|a\.u: the input u is not connected",
+        ),
+        (lambda d: d.output("y"), r"loose\.y: the output y is not connected"),
         (lambda d: (d.input("n", "int32"), d.add("a", Gain(), u="n")), r"a\.u: it takes real and n is int32"),
         (
             lambda d: d.add("a", Lag(), u=d.input("r"), rate=(2, 0)),

@@ -83,7 +83,7 @@ def enabled_in_enabled(values: dict[str, Any]) -> Callable[[Diagram], None]:
 
 
 REFUSED = [
-    (stores(), "cell.u", r"the input is not connected \(connect it, or add StoreWrite\(\"cell\"\)\)"),
+    (stores(), "cell.u", r"the input u is not connected \(connect it, or add StoreWrite\(\"cell\"\)\)"),
     (stores(StoreRead("elsewhere"), wired=True), "part0.u", "there is no data store 'elsewhere' around it"),
     (stores(StoreWrite("elsewhere"), wired=True), "part0", "there is no data store 'elsewhere' around it"),
     (stores(StoreWrite("cell"), StoreWrite("cell")), "part1", "sub.cell is written by sub.part0 too"),

@@ -314,7 +314,7 @@ def stored(writers: Mapping[Any, Any], level: Any, part: str, port: str, where: 
         giver = writers[place]
     else:
         remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
-        raise DiagramError("the input is not connected", where, remedy)
+        raise DiagramError(f"the input {port} is not connected", where, remedy)
     output = f"y{port.removeprefix('u')}"  # perhaps a field, "y.roll"
     names = [p.name for p in giver.block.outputs]
     if output not in names:

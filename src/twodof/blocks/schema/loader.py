@@ -20,6 +20,7 @@ from twodof.blocks.schema.traced_block import (
     graph_from_json,
     machine_from_json,
     member,
+    position,
     read,
 )
 from twodof.blocks.trace import SECTIONS
@@ -33,6 +34,7 @@ MAX_NUMBERS = 100_000  # written out: tables, initial values, arguments of block
 MAX_LIST_DEPTH = 4
 MAX_PLAIN_DEPTH = 16  # of lists and objects, as the values of buses in buses have
 MAX_TEXT = 10_000  # characters
+MAX_TEXTS = 100_000  # characters of guards and actions written as texts
 MAX_UNIT = 40
 MAX_STRING = 1000  # an argument of a block
 STAGES = 4  # evaluations of a derivative in a step of RK4
@@ -98,7 +100,7 @@ class Loader:
 
     def __init__(self) -> None:
         self.parts = self.declared = self.elements = self.numbers = self.restarting = 0
-        self.size = self.prepared = self.tick = self.stage = self.edges = 0
+        self.size = self.prepared = self.tick = self.stage = self.edges = self.characters = 0
         self.integrates = False
         self.meter = CostMeter()
 
@@ -155,7 +157,7 @@ class Loader:
         settings = {key: given[key] for key in SETTINGS if key not in ("flipped", "commented")}
         settings |= {key: self._plain(given[key], where) for key in ("initial", "disabled")}
         if given["position"] is not None:
-            settings["position"] = _position(given["position"], where)
+            settings["position"] = position(given["position"], where)
         d.add(given["name"], item, inputs={}, **settings)
         part = d.parts[given["name"]]
         part.flipped, part.commented = given["flipped"], given["commented"]
@@ -203,7 +205,7 @@ class Loader:
             graph_from_json(block, given, where)
             return block
         machine = TracedMachine(given["name"], declared, given["crossing"])
-        machine_from_json(machine, given, where)
+        machine_from_json(machine, given, where, self._spend)
         with located(where, keep=True), at_most(2 * MAX_SIZE):
             _ = machine.trace
         own = machine.states[len(machine.variables) :]
@@ -264,6 +266,11 @@ class Loader:
         if self.elements > MAX_ELEMENTS:
             raise DiagramError(f"more than {MAX_ELEMENTS} values", where, "make arrays and delays shorter")
 
+    def _spend(self, characters: int) -> None:
+        self.characters += characters
+        if self.characters > MAX_TEXTS:
+            raise DiagramError(f"more than {MAX_TEXTS} characters of guards and actions", "", "use blocks or variables")
+
     def _plain(self, value: Any, where: str, depth: int = 0, lists: int = 0) -> Any:
         """Return a value of a block's arguments with infinities and NaN decoded; count its numbers."""
         if isinstance(value, dict) and set(value) == {"float"} and value["float"] in ("inf", "-inf", "nan"):
@@ -280,20 +287,12 @@ class Loader:
         return text(value, MAX_STRING, where) if isinstance(value, str) else value
 
 
-def _position(given: Any, where: str) -> tuple[float, float]:
-    """[x, y] as numbers. Raises DiagramError for anything else, and for what is far off."""
-    good = isinstance(given, list) and len(given) == 2 and all(type(c) in (int, float) for c in given)
-    if not good or any(abs(c) > 1e6 for c in given):
-        raise DiagramError(f"position {shown(given)}", where, "write [x, y], each within +-1e6")
-    return float(given[0]), float(given[1])
-
-
 def _positions(data: Mapping[str, Any], key: str, known: Container[str], where: str) -> dict[str, tuple[float, float]]:
     """Return the places of inputs or outputs, by name. Raises DiagramError for a name that is not there."""
     for name in data[key]:
         if name not in known:
             raise DiagramError(f"{key!r} has {shown(name)}, which is not there", where, "take it out of the file")
-    return {name: _position(at, f"{where}.{name}") for name, at in data[key].items()}
+    return {name: position(at, f"{where}.{name}") for name, at in data[key].items()}
 
 
 def _visible(unit: str, remark: str, where: str) -> None:

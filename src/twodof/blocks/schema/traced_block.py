@@ -1,6 +1,6 @@
 """TracedBlock: a block that is its recorded expressions, as it travels in JSON."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import NoneType
 from typing import Any
 
@@ -8,7 +8,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.declarations import State, check_name, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import shaped, vector
-from twodof.blocks.expressions.expr import Expr, const, convert, leaf, node, scalars, tracing
+from twodof.blocks.expressions.expr import Expr, at_most, const, convert, leaf, node, scalars, tracing
 from twodof.blocks.expressions.graph import (
     MAX_LOOP_DEPTH,
     MAX_SIZE,
@@ -21,7 +21,7 @@ from twodof.blocks.expressions.graph import (
 from twodof.blocks.expressions.numbers import KINDS, fits
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
-from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED
+from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED, MachineFunction
 from twodof.blocks.trace import (
     SECTIONS,
     MethodGraphs,
@@ -62,6 +62,14 @@ def member(data: Mapping[str, Any], key: str, kind: Any, where: str, default: An
         remedy = "see docs/reference/diagram-files.md"
         raise DiagramError(f"{key!r} is missing or of the wrong kind", where, remedy)
     return value
+
+
+def position(given: Any, where: str) -> tuple[float, float]:
+    """Return [x, y] as numbers. Raises DiagramError for anything else, and for what is far off."""
+    good = isinstance(given, list) and len(given) == 2 and all(type(c) in (int, float) for c in given)
+    if not good or any(abs(c) > 1e6 for c in given):
+        raise DiagramError(f"position {shown(given)}", where, "write [x, y], each within +-1e6")
+    return float(given[0]), float(given[1])
 
 
 def _declare(block: Any, what: str, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool) -> None:
@@ -247,9 +255,15 @@ def _in_range(value: Any, end: int) -> None:
         raise ValueError(f"{shown(value)} is not in 0..{end - 1}")
 
 
-_ACTIONS: Fields = dict.fromkeys(ACTIONS, ((dict, NoneType), None))
-_MODE: Fields = {"name": (str, None), "history": (bool, False), "inner": (list, []), **_ACTIONS}
-_TRANSITION: Fields = {"from": (str, None), "to": (str, None), "when": (int, None), "do": ((dict, NoneType), None)}
+_ACTION = ((dict, str, NoneType), None)
+_MODE: Fields = {
+    "name": (str, None),
+    "history": (bool, False),
+    "inner": (list, []),
+    "position": ((list, NoneType), None),
+    **dict.fromkeys(ACTIONS, _ACTION),
+}
+_TRANSITION: Fields = {"from": (str, None), "to": (str, None), "when": ((int, str), ""), "do": _ACTION}
 
 
 class TracedMachine(StateMachine):
@@ -280,32 +294,45 @@ class RecordedFunction:
 def machine_to_json(machine: StateMachine) -> dict[str, Any]:
     """Return the modes and transitions of a machine, whose guards and actions name rows of `nodes`."""
     chart, graph, prepare = machine.chart, machine.graph, machine.trace.prepare
-    actions = [e for exprs in [*graph.actions.values(), *graph.does] for e in exprs.values()]
-    rows, number = nodes_to_json([*graph.guards, *actions, *prepare.values()])
+    roots = [e for function, exprs in _functions(machine) if function.text is None for e in exprs.values()]
+    rows, number = nodes_to_json([*roots, *prepare.values()])
 
     def numbered(exprs: Mapping[str, Expr]) -> dict[str, int]:
         return {name: number[id(e)] for name, e in exprs.items()}
 
     def mode(m: Mode) -> dict[str, Any]:
         form: dict[str, Any] = {"name": m.name}
-        form |= {a: numbered(graph.action(m.name, a)) for a in ACTIONS if (m.name, a) in graph.actions}
+        form |= {a: action(chart.actions.get((m.name, a)), graph.action(m.name, a)) for a in ACTIONS}
         form |= {"history": True} if m.history else {}
-        return form | ({"inner": [mode(one) for one in m.inner]} if m.inner else {})
+        form |= {"position": list(m.position)} if m.position else {}
+        form |= {"inner": [mode(one) for one in m.inner]} if m.inner else {}
+        return {key: value for key, value in form.items() if value is not None}
 
-    def transition(t: Transition, guard: Expr, does: Mapping[str, Expr]) -> dict[str, Any]:
-        form = {"from": t.source, "to": t.target, "when": number[id(guard)]}
-        return form | ({"do": numbered(does)} if does else {})
+    def action(function: MachineFunction | None, exprs: Mapping[str, Expr]) -> str | dict[str, int] | None:
+        if function is None:
+            return None
+        return numbered(exprs) if function.text is None else function.text
+
+    def transition(k: int, t: Transition) -> dict[str, Any]:
+        text, do = chart.guards[k].text, action(chart.does[k], graph.does[k])
+        form = {"from": t.source, "to": t.target, "when": number[id(graph.guards[k])] if text is None else text}
+        return form | ({"do": do} if do else {})
 
     return {
         "nodes": rows,
         **({"prepare": numbered(prepare)} if prepare else {}),
         "modes": [mode(m) for m in chart.modes],
-        "transitions": [transition(*one) for one in zip(chart.transitions, graph.guards, graph.does, strict=True)],
+        "transitions": [transition(k, t) for k, t in enumerate(chart.transitions)],
     }
 
 
-def machine_from_json(machine: TracedMachine, form: Mapping[str, Any], where: str) -> None:
-    """Fill `machine` with the modes and transitions in `form`. Raises DiagramError for what is not well formed."""
+def machine_from_json(
+    machine: TracedMachine, form: Mapping[str, Any], where: str, spend: Callable[[int], None]
+) -> None:
+    """Fill `machine` with the modes and transitions in `form`. Raises DiagramError for what is not well formed.
+
+    `spend` counts the characters of guards and actions that are texts.
+    """
     elapsed = State(ELAPSED, 0, "uint32")
     made = nodes_from_json(form["nodes"], machine, [*machine.variables, elapsed], where)
     shapes = matrices(machine.variables, machine.outputs)
@@ -313,7 +340,10 @@ def machine_from_json(machine: TracedMachine, form: Mapping[str, Any], where: st
     def values(given: Mapping[str, Any], name: str) -> dict[str, Expr]:
         return {key: picked(made, index, f"{name}.{key}", where) for key, index in given.items()}
 
-    def action(given: Mapping[str, Any] | None, name: str) -> RecordedFunction | None:
+    def action(given: Mapping[str, Any] | str | None, name: str) -> RecordedFunction | str | None:
+        if isinstance(given, str):
+            spend(len(given))
+            return given
         return None if given is None else RecordedFunction(values(given, name), shapes)
 
     def mode(given: Any, depth: int = 0) -> Mode:
@@ -322,12 +352,17 @@ def machine_from_json(machine: TracedMachine, form: Mapping[str, Any], where: st
         m = read(given, "a mode", _MODE, where)
         name, inner = m["name"], [mode(one, depth + 1) for one in m["inner"]]
         acts = {a: action(m[a], f"{a} of {name}") for a in ACTIONS}
-        return Mode(name, inner=inner, history=m["history"], **acts)
+        place = None if m["position"] is None else position(m["position"], f"{where}.{name:.80}")
+        return Mode(name, inner=inner, history=m["history"], position=place, **acts)
 
     def transition(given: Any) -> Transition:
         t = read(given, "a transition", _TRANSITION, where)
         text = f"{t['from']} -> {t['to']}"
-        guard = RecordedFunction({"": picked(made, t["when"], f"when of {text}", where)}, {})
+        guard = t["when"]
+        if isinstance(guard, str):
+            spend(len(guard))
+        else:
+            guard = RecordedFunction({"": picked(made, guard, f"when of {text}", where)}, {})
         return Transition(t["from"], t["to"], guard, action(t["do"], f"do of {text}"))
 
     machine.graphs["prepare"] = {name: (e,) for name, e in values(form["prepare"], "prepare").items()}
@@ -335,17 +370,35 @@ def machine_from_json(machine: TracedMachine, form: Mapping[str, Any], where: st
         machine.modes = [mode(one) for one in form["modes"]]
         machine.transitions = [transition(one) for one in form["transitions"]]
         _check_size(machine)
+    with located(where, keep=True), at_most(2 * MAX_SIZE):
+        for function, exprs in _functions(machine):
+            if function.text is not None:
+                function.given = RecordedFunction(exprs, shapes)
+    with located(where):
+        _check_size(machine)
+
+
+def _functions(machine: StateMachine) -> list[tuple[MachineFunction, Mapping[str, Expr]]]:
+    """Return the guards and actions of a machine, each with its recorded expressions; a guard's has no name."""
+    chart, graph = machine.chart, machine.graph
+    guards = [(function, {"": e}) for function, e in zip(chart.guards, graph.guards, strict=True)]
+    does = [(f, exprs) for f, exprs in zip(chart.does, graph.does, strict=True) if f is not None]
+    return [*guards, *does, *((function, graph.actions[key]) for key, function in chart.actions.items())]
 
 
 def _check_size(machine: TracedMachine) -> None:
-    """Raise DiagramError if following all ways of a machine is too much work; before the first is followed."""
+    """Raise DiagramError if following all ways of a machine is too much work; before the first is followed.
+
+    A text that is not recorded yet does not count.
+    """
     chart = machine.chart
     functions: list[Any] = [f.given for f in (*chart.guards, *chart.does, *chart.actions.values()) if f is not None]
-    roots = [e for f in functions for e in f.exprs.values()]
+    roots = [e for f in functions if isinstance(f, RecordedFunction) for e in f.exprs.values()]
     sizes = dict(zip(map(id, roots), sizes_of(roots), strict=True))
 
     def size(functions: Iterable[Any]) -> int:
-        return sum(sizes[id(e)] for f in functions if f is not None for e in f.given.exprs.values())
+        given = [f.given for f in functions if f is not None and isinstance(f.given, RecordedFunction)]
+        return sum(sizes[id(e)] for one in given for e in one.exprs.values())
 
     each = len(machine.variables) + 4
     total = sum(sizes_of(roots_of(machine.graphs)))

@@ -12,25 +12,26 @@ from twodof.blocks.enumeration import Enumeration, comparing, plain_data
 from twodof.blocks.expressions.expr import Expr, as_expr, scalars, to_real, tracing
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
+from twodof.blocks.state_machine.action_text import ActionText, TextFault
 from twodof.blocks.trace import clock_leaves, enumerations, leaves_of, matrices, mistake, returned, with_matrices
 from twodof.errors import DiagramError, listed, nearest, shown
 
 ACTIONS = ("entry", "during", "exit")
 ARGUMENTS = ("u", "x", "p", "t")
-Action = Callable[..., Any] | Mapping[str, Any] | None
-Guard = Callable[..., Any] | bool
+Action = Callable[..., Any] | Mapping[str, Any] | str | None
+Guard = Callable[..., Any] | bool | str
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
     """Mode of a state machine, one at a time; a `State` is a block's memory.
 
-    An action is a function of any of u, x, p and t that returns new values by name, or a mapping of constants. `entry`
-    acts when the mode is entered, `exit` when it is left: both give variables. `during` acts at each tick that ends in
-    the mode, and gives outputs and variables.
+    An action is a function of any of u, x, p and t that returns new values by name, a mapping of constants, or a text
+    such as "n = n + 1; y = 0.0". `entry` acts when the mode is entered, `exit` when it is left: both give variables.
+    `during` acts at each tick that ends in the mode, and gives outputs and variables.
 
     `inner` are modes inside this one, of which the first is where it starts. With `history` it starts again in the one
-    that it was left in.
+    that it was left in. `position` is the mode's place on the editor's sheet.
     """
 
     name: str
@@ -39,14 +40,15 @@ class Mode:
     exit: Action = None
     inner: Sequence[Mode] = ()
     history: bool = False
+    position: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
     """From the mode `source` to the mode `target`, where the guard `when` holds; `do` gives variables as it is taken.
 
-    A guard is a function of any of u, x, p and t that returns a bool. `t.elapsed` are the ticks since the source was
-    entered, `t.elapsed_time` the same in seconds.
+    A guard is a function of any of u, x, p and t that returns a bool, or a text such as "v > 0.1 and after(25)".
+    `t.elapsed` are the ticks since the source was entered, `t.elapsed_time` the same in seconds.
     """
 
     source: str
@@ -69,14 +71,17 @@ class ModeClock(Clock):
 
 
 class MachineFunction:
-    """A guard or an action, `given` as a function or as constants; `place` says whose it is.
+    """A guard or an action, `given` as a function, a text or constants; `place` says whose it is.
 
     Raises DiagramError for one that takes other arguments than u, x, p and t.
     """
 
-    def __init__(self, given: Any, place: str) -> None:
+    def __init__(self, given: Any, place: str, guard: bool = False) -> None:
+        if isinstance(given, str):
+            given = ActionText(given, guard)
         self.given = given if callable(given) else plain_data(given, place)
         self.place = place
+        self.text = given.text if isinstance(given, ActionText) else None
         self.constant = not callable(given)
         self.takes: tuple[str, ...] = ()
         if not self.constant:
@@ -167,7 +172,7 @@ class Chart:
             if ways[-1] > MAX_WAYS or sum(ways) > MAX_ALL_WAYS:
                 what = f"more than {MAX_WAYS} ways out of {leaf.mode.name!r}, or {MAX_ALL_WAYS} in all"
                 raise DiagramError(what, "", "make several machines")
-        self.guards = [MachineFunction(t.when, f"when of {t.text}") for t in self.transitions]
+        self.guards = [MachineFunction(t.when, f"when of {t.text}", guard=True) for t in self.transitions]
         self.does = [None if t.do is None else MachineFunction(t.do, f"do of {t.text}") for t in self.transitions]
         self.actions = {
             (name, action): MachineFunction(getattr(mode, action), f"{action} of {name}")
@@ -316,6 +321,9 @@ class MachineGraph:
                 with_matrices(Parameters(parameters), self._shapes[2]),
                 t,
             )
+        except TextFault as error:
+            where = f"block {self._label}, {function.place}, {error.where}"
+            raise DiagramError(error.what, where, error.remedy) from error
         except Exception as error:
             found = mistake(error, m, "output")
             line = found.where.partition(", ")[2]
