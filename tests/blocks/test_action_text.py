@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
 from typing import Any
 
 import pytest
@@ -250,8 +249,8 @@ def test_a_hostile_text_is_refused_quickly(name: str) -> None:
     assert len(str(raised.value)) < 500
 
 
-@pytest.mark.parametrize(("part", "fits"), [("(u > 0.1 and not b)", False), ("0.1 + 0.2 + 0.3 > 1.0", True)])
-def test_many_long_texts_are_judged_within_two_seconds(part: str, fits: bool) -> None:
+@pytest.mark.parametrize("part", ["(u > 0.1 and not b)", "0.1 + 0.2 + 0.3 > 1.0"])
+def test_many_long_texts_are_judged_within_two_seconds(part: str) -> None:
     """They use most of the characters that a file may have; each guard is followed out of 19 modes."""
     long = "x = 1.5; " * 100
     inner = [{"name": f"m{k}", "during": "y = 0.0", "entry": long, "exit": long} for k in range(19)]
@@ -259,7 +258,6 @@ def test_many_long_texts_are_judged_within_two_seconds(part: str, fits: bool) ->
     ways = [{"from": "all", "to": f"m{k % 19}", "when": f"u < {k}.0 and ({guard})"} for k in range(40)]
     data = machine_file(modes=[{"name": "all", "inner": inner}], transitions=ways, nodes=[])
     start = time.process_time()
-    with nullcontext() if fits else pytest.raises(DiagramError, match="more than 50000 operations"):
-        from_json(data)
+    from_json(data)
     # What any file may take (docs/reference/diagram-files.md).
     assert time.process_time() - start < 2.0
