@@ -28,6 +28,7 @@ COMMANDS = MappingProxyType(
         "diagram": ("diagram", "Start, check, test, draw and linearize a diagram; see the C that it becomes."),
         "flash": ("flash", "Check and compile a controller, say what changes, and let it fly."),
         "identify": ("identify", "Identify a model from a flight log."),
+        "campaign": ("campaign", "Fly many times, and see how often the default fit holds the truth."),
         "design": ("design", "Design a controller on an identified model, promise its flight, and judge it."),
         "fcu": ("fcu", "Run a virtual drone: rig and flight controller, reached over MAVLink."),
         "replay": ("simulate", "Feed a log's inputs to the compiled flight code and compare its outputs."),

@@ -127,22 +127,31 @@ def _rig_in(log: FlightLog) -> tuple[str | None, bool]:
 
 
 def reference_values(log: FlightLog, experiment: str, start: float, stop: float) -> dict[str, float]:
-    """Return the true values of an experiment's `PURPOSE` if its log says that the rig was virtual; else none.
-
-    mu and k_v are those at the battery's voltage from `start` to `stop` [s], mu also at the thrust.
-    """
+    """Return `true_values` if the log says that the rig was virtual; else none."""
     name, virtual = _rig_in(log)
-    if name is None or not virtual or "T" not in log or "voltage" not in log:
+    if name is None or not virtual:
         return {}
-    rig = load_rig(name).snapshot()
+    return true_values(load_rig(name).snapshot(), experiment, log, start, stop)
+
+
+def true_values(
+    rig: Mapping[str, float], experiment: str, log: FlightLog, start: float, stop: float
+) -> dict[str, float]:
+    """Return the true unknowns of an experiment (`TRUTH`) flown on a rig with these parameters.
+
+    mu and k_v are those at the battery's voltage from `start` to `stop` [s], mu also at the thrust. A log that lacks
+    these signals has no truth.
+    """
+    if "T" not in log or "voltage" not in log:
+        return {}
     thrust = log["T"].slice(start, stop).value
-    volts = log["voltage"].slice(start - 1.0, stop + 1.0).value  # it comes twice a second
+    volts = log["voltage"].slice(start - 1.0, stop).value  # it comes twice a second, and rises when the motors stop
     if not thrust.size or not volts.size or not np.isfinite([*thrust, *volts]).all():
         return {}
     supply = float(np.mean(volts / (rig["voltage_full"] - rig["resistance"] * rig["hover_current"])) ** 2)
     known = model_parameters(rig)
     known |= {"mu": supply * moment_gain(rig, float(np.mean(thrust))), "k_v": supply * known["k_v"]}
-    return {unknown: known[unknown] for unknown in PURPOSE[experiment]}
+    return {unknown: known[name] for unknown, name in TRUTH[experiment].items()}
 
 
 ENOUGH_SHARE = 0.25
@@ -156,6 +165,18 @@ PURPOSE: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"impulse": ("w_n", "xi"), "doublet": ("mu", "tau"), "attitude": ("mu", "tau"), "velocity": ("k_v", "p_v")}
 )
 """What each experiment is flown for."""
+
+_RUNNING = {"mu": "mu", "tau": "tau", "w_n": "w_n_run", "xi": "xi_run"}
+
+TRUTH: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "impulse": {"w_n": "w_n", "xi": "xi", "coulomb": "coulomb", "hardening": "hardening"},
+        "doublet": _RUNNING,
+        "attitude": {**_RUNNING, "coulomb": "coulomb_run"},
+        "velocity": {"k_v": "k_v", "p_v": "p_v", "coulomb": "rail_coulomb"},
+    }
+)
+"""Unknowns of each experiment that a rig's parameters tell, by their names in `model_parameters`."""
 
 
 @dataclass(frozen=True)
