@@ -25,8 +25,8 @@ TIMES = st.lists(st.integers(-10, 410), min_size=1, max_size=20).map(lambda tick
     [
         ([0.0, 1.0, 1.0], [1, 2, 3], "q: time does not increase: sample 2 at 1.0 s follows 1.0 s"),
         ([0.0, 2.0, 1.0], [1, 2, 3], "q: time does not increase: sample 2 at 1.0 s follows 2.0 s"),
-        ([0.0, 1.0], [1.0, np.nan], "q: value is nan at sample 1 (time 1.0 s), 1 such in all"),
-        ([0.0, 1.0], [np.inf, -np.inf], "q: value is inf at sample 0 (time 0.0 s), 2 such in all"),
+        ([0.0, 1.0], [1.0, np.nan], "q: value is nan at sample 1 (time 1.0 s), 1 sample is like this"),
+        ([0.0, 1.0], [np.inf, -np.inf], "q: value is inf at sample 0 (time 0.0 s), 2 samples are like this"),
         ([0.0, np.nan], [1.0, 2.0], "q: time is nan at sample 1"),
         ([0.0, 1.0], [1.0], "q: shapes do not match: time (2,), value (1,)"),
         ([[0.0], [1.0]], [1.0, 2.0], "q: shapes do not match"),

@@ -193,7 +193,7 @@ def test_bad_input_is_refused_with_the_remedy(tmp_path: Any) -> None:
     with pytest.raises(DiagramError, match="there is no loop 'yaw'"):
         cascade_loop("yaw")
     for nothing in ({"a": 1.0}, {"lag": 0.01}):
-        with pytest.raises(ParameterError, match="has none of"):
+        with pytest.raises(ParameterError, match="a rig needs one of"):
             identified_rig(nothing)
     for bad in (math.nan, -5.0, 1e12):
         with pytest.raises(ParameterError, match="no rig can have"):

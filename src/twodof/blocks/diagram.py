@@ -50,15 +50,17 @@ CONDITIONS = ("enable", "reset", "trigger")
 
 @dataclass
 class Part:
-    """A block or sub-diagram in a diagram. `enable`, `reset` and `trigger` name bool sources in the same diagram.
+    """A block or sub-diagram in a diagram.
 
-    `params` has the diagram's parameter to which each parameter of the part is bound. While a sub-diagram is disabled
-    its outputs "hold" their values, are "reset" to 0, or to the values {output: value} in `disabled`. When it and all
-    diagrams around it are enabled again, its states "keep" their values, or "restart" from the initial ones, as
-    `enabling` tells. `initial` are the outputs' values before they are first computed, to which "reset" sets them too.
-    With a `trigger` it acts only at the ticks at which that has an `edge`: "rising", "falling" or "either".
-    `position` is its place on the editor's sheet, where a `flipped` part has its inputs on the right side.
-    A `commented` sub-diagram stands for its first part: "out" has outputs of 0, "through" passes its inputs on.
+    - `params`: the diagram's parameter to which each parameter of the part is bound.
+    - `enable`, `reset`, `trigger`: names of bool sources in the same diagram.
+    - `disabled`: the outputs while the part is disabled: "hold", "reset" (to `initial`, by default 0), or
+      {output: value}.
+    - `enabling`: its states when it and all diagrams around it are enabled again: "keep" or "restart".
+    - `initial`: the outputs before they are first computed.
+    - `edge`: with a `trigger` it runs only at a "rising", "falling" or "either" edge of that.
+    - `position`: its place on the editor's sheet, where a `flipped` part has its inputs on the right side.
+    - `commented`: such a sub-diagram stands for its first part: "out" has outputs of 0, "through" passes inputs on.
     """
 
     name: str

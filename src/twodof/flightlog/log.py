@@ -284,9 +284,9 @@ def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.floa
     finite = np.isfinite(values)
     if not finite.all():
         bad = np.argwhere(~finite)
-        k = int(bad[0][0])
+        k, count = int(bad[0][0]), "1 sample is" if len(bad) == 1 else f"{len(bad)} samples are"
         raise LogError(
-            f"{what} is {values[tuple(bad[0])]!s} at sample {k} (time {time[k]!s} s), {len(bad)} such in all",
+            f"{what} is {values[tuple(bad[0])]!s} at sample {k} (time {time[k]!s} s), {count} like this",
             where,
             "leave the sample out together with its time stamp: the channel then has a gap there",
         )

@@ -148,7 +148,7 @@ class TransferFit:
     def _index(self, label: str) -> int:
         if label not in self.labels:
             raise IdentificationError(
-                f"{shown(label)} was not estimated", "transfer fit", f"of {', '.join(self.labels)}"
+                f"{shown(label)} was not estimated", "transfer fit", f"estimated are: {', '.join(self.labels)}"
             )
         return self.labels.index(label)
 

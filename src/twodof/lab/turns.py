@@ -52,7 +52,7 @@ class Turns:
             raise
 
     def give_back(self) -> None:
-        """End a turn: the person who waits longest gets the next one."""
+        """End a turn: the person whose last turn is longest ago gets the next one."""
         while self._lines:
             mine = self._next(next(iter(self._lines)))
             if not mine.done():  # a cancelled one wants none

@@ -38,7 +38,9 @@ def identified_rig(model: Mapping[str, float], base: str | Mapping[str, float] =
     given = {name: float(model[name]) for name in _USED if name in model}
     if not given.keys() & set(MODEL):
         raise ParameterError(
-            f"the model has none of {', '.join(MODEL)}, but {listed(model)}", "rig", "identify pitch-rate or velocity"
+            f"a rig needs one of {', '.join(MODEL)}, and the model has only {listed(model)}",
+            "rig",
+            "identify with --model pitch-rate or --model velocity",
         )
     values = dict(load_rig(base).snapshot() if isinstance(base, str) else base)
     rig = {name: float(value) for name, value in values.items()}

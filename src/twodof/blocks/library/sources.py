@@ -94,7 +94,7 @@ class Constant(Block):
 
 @library_block("clock")
 class Time(Block):
-    """y = time since the start, tick * dt, and `tick`, the uint32 base tick itself."""
+    """Outputs: `y`, the time since the start [s], tick * dt; and `tick`, the number of base ticks (uint32)."""
 
     outputs = (Port("y", unit="s"), Port("tick", "uint32"))
 

@@ -43,7 +43,7 @@ def called(name: str, operands: int, helper: str = "") -> Operator:
 def row(item: Expr, operand: str) -> str:
     """Return the name of the row in OPERATORS for an operation whose first operand is of the type `operand`."""
     if item.op == "where":
-        return f"pick_{item.kind}"
+        return f"where_{item.kind}"
     if item.op in COMPARISONS:
         return f"{item.op}_{operand}"
     if item.op == "convert":
@@ -57,7 +57,7 @@ def row(item: Expr, operand: str) -> str:
 
 def _rows() -> Iterator[tuple[str, Operator]]:
     for kind in C_TYPES:
-        yield f"pick_{kind}", Operator("{0} ? {1} : {2}", (COMPARISON, SIGNED, SIGNED), LOOSE)
+        yield f"where_{kind}", Operator("{0} ? {1} : {2}", (COMPARISON, SIGNED, SIGNED), LOOSE)
         for op, sign in COMPARISONS.items():
             if kind in TAKES[op]:
                 yield f"{op}_{kind}", Operator(f"{{0}} {sign} {{1}}", (SUM, SUM), COMPARISON)

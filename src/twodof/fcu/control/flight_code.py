@@ -149,7 +149,7 @@ class FlightCode:
         return step
 
     def reset(self, states: Mapping[str, Any] | None = None) -> None:
-        """Reset to the initial states of the present parameters, then to `states` by path."""
+        """Set all states to their initial values with the present parameters, then those in `states` by path."""
         self.machine.reset()
         for path, value in (states or {}).items():
             self.machine.set_state(path, value)
