@@ -1,0 +1,155 @@
+"""`twodof slx`: look into Simulink files, draw them and compare two, without MATLAB."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+from twodof.cli.options import Force, Json, argument, flag, group, option
+from twodof.cli.output import exit_unless, one_line, print_fields, table, table_console
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.files import check_folder
+from twodof.slx.difference import Difference, difference
+from twodof.slx.inspection import Inspection, Library
+from twodof.slx.inspection import inspect as inspect_model
+from twodof.slx.model import read_model
+from twodof.slx.picture import sheet_name, sheet_svg
+
+slx = group("See what is in a Simulink file (.slx, .mdl), draw it, and compare two; no MATLAB needed.")
+
+ModelFile = Annotated[Path, argument("A model, library or subsystem file: .slx or .mdl of any release.", "MODEL")]
+
+
+@slx.command()
+def inspect(
+    model: ModelFile,
+    path: Annotated[
+        list[Path] | None, option("Look for libraries in this folder too; may be repeated.", "FOLDER")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Say what a model holds: release, solver, sample times, blocks, libraries, code, and the names that it needs."""
+    found = inspect_model(read_model(model), [model.parent, *(path or [])])
+    if json:
+        print_fields(
+            name=found.model.name,
+            kind=found.model.kind,
+            release=found.model.release,
+            version=found.model.version,
+            solver=found.model.solver,
+            callbacks=found.model.callbacks,
+            **{key: value for key, value in vars(found).items() if key not in ("model", "libraries")},
+            libraries=[{**asdict(one), "file": None if one.file is None else str(one.file)} for one in found.libraries],
+        )
+    else:
+        _print_inspection(found)
+
+
+def _print_inspection(found: Inspection) -> None:
+    model = found.model
+    console = table_console()
+    rows = table("", "", show_header=False)
+    saved = f"saved by {model.release}" if model.release else "of an unknown release"
+    rows.add_row(model.kind, f"{model.name}, version {model.version or '?'}, {saved}")
+    solver = model.solver.get("SolverName") or model.solver.get("Solver") or "?"
+    step, stop = model.solver.get("FixedStep", "?"), model.solver.get("StopTime", "?")
+    rows.add_row("solver", f"{solver}, fixed step {step}, until {stop} s")
+    if found.sample_times:
+        rows.add_row("sample times", ", ".join(f"{time} ({count})" for time, count in found.sample_times.items()))
+    if found.inputs or found.outputs:
+        rows.add_row("inputs", ", ".join(found.inputs) or "none")
+        rows.add_row("outputs", ", ".join(found.outputs) or "none")
+    total = sum(found.blocks.values())
+    rows.add_row("blocks", f"{total} in {found.systems} subsystems, {found.depth} deep")
+    for kind, count in found.blocks.items():
+        rows.add_row("", f"{count:5d} {kind}")
+    for library in found.libraries:
+        rows.add_row("library", _library(library))
+    for title, paths in (("MATLAB Function", found.functions), ("chart", found.charts)):
+        for one in paths:
+            rows.add_row(title, one)
+    for name, code in model.callbacks.items():
+        lines = code.splitlines()
+        rows.add_row(name, lines[0] + (f" ... ({len(lines)} lines)" if len(lines) > 1 else ""))
+    if found.commented:
+        rows.add_row("commented out", f"{found.commented} blocks")
+    if found.loose:
+        rows.add_row("loose lines", f"{found.loose}: they lack a beginning or an end")
+    console.print(rows)
+    if found.names:
+        console.print("\nnames that the model takes from the workspace:")
+        names = table("", "", show_header=False)
+        for name, paths in found.names.items():
+            names.add_row(name, "; ".join(map(one_line, paths)))
+        console.print(names)
+
+
+def _library(library: Library) -> str:
+    count = f"{library.blocks} block{'s' if library.blocks > 1 else ''} of {library.name}"
+    if library.own:
+        return f"{count}, part of Simulink"
+    return f"{count}, {library.file}" if library.file else f"{count}: not found (name its folder with --path)"
+
+
+@slx.command()
+def draw(
+    model: ModelFile,
+    out: Annotated[Path, option("Folder for the pictures, or an .svg for one of them.", "PATH")],
+    subsystem: Annotated[str, option("Only this subsystem: Controller/PID.", "PATH")] = "",
+    force: Force = False,
+) -> None:
+    """Draw a model as SVG, a picture for each subsystem, linked like pages."""
+    read = read_model(model)
+    if out.suffix == ".svg":
+        pictures = {out: subsystem}
+    else:
+        out.mkdir(parents=True, exist_ok=True)
+        paths = [subsystem] if subsystem else [path for path, _ in read.root.walk()]
+        pictures = {out / sheet_name(read, path): path for path in paths}
+    for file, path in pictures.items():
+        check_folder(file, force)
+        with atomic_write(file, "w") as stream:
+            stream.write(sheet_svg(read, path))
+    first = next(iter(pictures))
+    more = len(pictures) - 1
+    table_console().print(f"written: {first}" + (f" and {more} subsystem{'s' if more > 1 else ''}" if more else ""))
+
+
+@slx.command()
+def diff(
+    before: Annotated[Path, argument("The model before.", "BEFORE")],
+    after: Annotated[Path, argument("The model after.", "AFTER")],
+    json: Json = False,
+    quiet: Annotated[bool, flag("Say nothing; only the exit status.", "--quiet")] = False,
+) -> None:
+    """List what differs between two models: blocks, parameters, wires, code.
+
+    Exit status 0 if nothing but looks (places, colours) differs, else 1.
+    """
+    found = difference(read_model(before), read_model(after))
+    if json:
+        print_fields(equal=found.equal, **vars(found))
+    elif not quiet:
+        _print_difference(found)
+    exit_unless(found.equal)
+
+
+def _print_difference(found: Difference) -> None:
+    console = table_console()
+    for path, kind in found.added:
+        console.print(f"+ {one_line(path)} ({kind})", style="green")
+    for path, kind in found.removed:
+        console.print(f"- {one_line(path)} ({kind})", style="red")
+    for was, path in found.renamed:
+        console.print(f"= {one_line(was)} is now {one_line(path)}")
+    for path, name, was, now in found.values:
+        console.print(f"~ {one_line(path)}: {name} {one_line(was) or '(default)'} -> {one_line(now) or '(default)'}")
+    for path, wire, new in found.wires:
+        console.print(f"{'+' if new else '-'} wire {one_line(wire)}{f' in {one_line(path)}' if path else ''}")
+    for name, lines in found.code:
+        console.print(f"~ {one_line(name)}:")
+        for line in lines:
+            console.print(f"    {line}")
+    if found.equal:
+        console.print("no difference" + (f" but the looks of {found.looks} blocks" if found.looks else ""))
+    elif found.looks:
+        console.print(f"(and the looks of {found.looks} blocks)")

@@ -1,0 +1,202 @@
+"""What a Simulink model holds: release, solver, sample times, blocks, libraries, code, and the names that it needs.
+
+`inspect(model, folders)` reads the libraries too, as far as they are there.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from twodof.slx.model import Block, Mask, Model, System, collapsed, escaped, read_model
+
+OWN_LIBRARIES = ("simulink", "slpidlib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")
+"""Libraries that are Simulink's own: their blocks stand for code and are in no file of the user's."""
+SUFFIXES = (".slx", ".mdl")
+
+_Names = dict[str, list[str]]
+# Functions, constants and words of MATLAB that an expression may hold: none of them is a variable of the user's.
+_WORDS = """
+    abs acos all any asin atan atan2 blkdiag boolean break case cat ceil class cos cosh cross cumsum deg2rad det
+    diag disp diff dot double else elseif end exp eye false find fix floor for function get_param gcb gcbh gcs global
+    if inf Inf int16 int32 int64 int8 interp1 inv isempty isfield isnan kron length linspace log log10 log2 logical max
+    mean min mod nan NaN ndims norm not numel ones otherwise persistent pi pinv poly polyfit polyval pow power prod
+    rad2deg rand randn real realmax realmin rem repmat reshape return round set_param sign sin single sinh size sort
+    sqrt squeeze std struct sum switch tan tanh transpose trapz trace true uint16 uint32 uint64 uint8 ufix sfix fixdt
+    var while xor zeros bitand bitor bitxor bitshift bitcmp eps i j e Simulink Bus Enum numerictype auto inherit
+    Inherit off on
+"""
+_MATLAB = frozenset(_WORDS.split())
+_TOKEN = re.compile(
+    r"""'(?:[^'\n]|'')*'|"(?:[^"\n]|"")*"   # text
+      |%[^\n]*                              # a comment
+      |(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)'*
+      |[\d.]+(?:[eE][+-]?\d+)?'*|[)\]}]'*|.""",
+    re.VERBOSE | re.DOTALL,
+)
+
+# The parameters that hold a value to be computed; all others are choices, texts or looks.
+VALUES: dict[str, tuple[str, ...]] = {
+    "Backlash": ("BacklashWidth", "InitialOutput"),
+    "Bias": ("Bias",),
+    "Constant": ("Value",),
+    "DataStoreMemory": ("InitialValue",),
+    "DeadZone": ("LowerValue", "UpperValue"),
+    "Delay": ("DelayLength", "InitialCondition"),
+    "DiscreteFilter": ("Numerator", "Denominator", "InitialStates"),
+    "DiscreteFir": ("Coefficients", "InitialStates"),
+    "DiscreteIntegrator": ("gainval", "InitialCondition", "UpperSaturationLimit", "LowerSaturationLimit"),
+    "DiscretePulseGenerator": ("Amplitude", "Period", "PulseWidth", "PhaseDelay"),
+    "DiscreteStateSpace": ("A", "B", "C", "D", "InitialCondition"),
+    "DiscreteTransferFcn": ("Numerator", "Denominator", "InitialStates"),
+    "DiscreteZeroPole": ("Zeros", "Poles", "Gain"),
+    "Gain": ("Gain",),
+    "Integrator": ("InitialCondition", "UpperSaturationLimit", "LowerSaturationLimit"),
+    "Lookup": ("InputValues", "Table"),
+    "Lookup_n-D": ("Table", *(f"BreakpointsForDimension{n}" for n in range(1, 5))),
+    "PID Controller": (*"PIDNbc", "Kb", "Kt", *(f"InitialConditionFor{one}" for one in ("Integrator", "Filter"))),
+    "Quantizer": ("QuantizationInterval",),
+    "RandomNumber": ("Mean", "Variance", "Seed"),
+    "RateLimiter": ("RisingSlewLimit", "FallingSlewLimit", "InitialCondition"),
+    "Relay": ("OnSwitchValue", "OffSwitchValue", "OnOutputValue", "OffOutputValue"),
+    "Saturate": ("UpperLimit", "LowerLimit"),
+    "Sin": ("Amplitude", "Bias", "Frequency", "Phase"),
+    "StateSpace": ("A", "B", "C", "D", "X0", "InitialCondition"),
+    "Step": ("Time", "Before", "After"),
+    "Switch": ("Threshold",),
+    "TransferFcn": ("Numerator", "Denominator"),
+    "TransportDelay": ("DelayTime", "InitialOutput"),
+    "UniformRandomNumber": ("Minimum", "Maximum", "Seed"),
+    "UnitDelay": ("InitialCondition", "X0"),
+    "ZeroPole": ("Zeros", "Poles", "Gain"),
+}
+
+
+@dataclass(frozen=True)
+class Library:
+    """A library that blocks of the model come from: its name, how many, and its file; None where it is not found."""
+
+    name: str
+    blocks: int
+    file: Path | None
+    own: bool
+    """Whether it is Simulink's own."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What `inspect` found. `names` are those that the model's values take from a workspace, with who asks for them."""
+
+    model: Model
+    blocks: dict[str, int]
+    systems: int
+    depth: int
+    sample_times: dict[str, int]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    libraries: tuple[Library, ...]
+    functions: tuple[str, ...]
+    charts: tuple[str, ...]
+    names: dict[str, tuple[str, ...]]
+    commented: int
+    loose: int
+    """Lines without a beginning or an end."""
+
+
+def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
+    """Return what a model holds. Libraries are looked for in `folders`, not below them."""
+    systems = list(model.root.walk())
+    blocks = list(model.blocks())
+    times = Counter(found for _, one in blocks if (found := sample_time(one)))
+    named = Counter(
+        collapsed(one.values.get("SourceBlock", "")).partition("/")[0] for _, one in blocks if one.type == "Reference"
+    )
+    libraries = tuple(_library(name, count, folders) for name, count in named.most_common())
+    lines = [line for _, system in systems for line in system.lines]
+    return Inspection(
+        model,
+        dict(Counter(one.kind for _, one in blocks).most_common()),
+        len(systems) - 1,
+        max((path.replace("//", "").count("/") + 1 for path, _ in systems if path), default=0),
+        dict(times.most_common()),
+        tuple(ports(model.root, "Inport")),
+        tuple(ports(model.root, "Outport")),
+        libraries,
+        tuple(sorted(one.path for one in model.charts if one.function)),
+        tuple(sorted(one.path for one in model.charts if not one.function)),
+        unresolved(model, [read_model(one.file) for one in libraries if one.file is not None]),
+        sum(one.commented for _, one in blocks),
+        sum(line.source is None or next(line.wire.sinks(), None) is None for line in lines),
+    )
+
+
+def ports(system: System, kind: str) -> list[str]:
+    """Return the names of the Inports or Outports of a system by their number."""
+    found = [one for one in system.blocks.values() if one.type == kind]
+    return [collapsed(one.name) for one in sorted(found, key=lambda one: _number(one.values.get("Port", "1")))]
+
+
+def _number(text: str) -> int:
+    return int(text) if text.isdigit() else 0
+
+
+def sample_time(block: Block) -> str:
+    """Return the sample time that a block has of its own, as text; "" where it takes that of its inputs."""
+    values = {**block.values, **block.instance}
+    said = collapsed(values.get("SampleTime", values.get("SystemSampleTime", "")))
+    if block.type == "RateTransition":
+        said = collapsed(values.get("OutPortSampleTime", ""))
+    return "" if said in ("-1", "inf", "[-1, 0]", "") else said
+
+
+def _library(name: str, count: int, folders: Iterable[Path]) -> Library:
+    own = name in OWN_LIBRARIES
+    candidates = [] if own or not re.fullmatch(r"[A-Za-z]\w*", name) else folders
+    file = next((at for one in candidates for end in SUFFIXES if (at := one / f"{name}{end}").is_file()), None)
+    return Library(name or "(none)", count, file, own)
+
+
+def identifiers(expression: str) -> Iterator[str]:
+    """Yield the names in a MATLAB expression, without those of MATLAB; of `p.gains.Kp` the first."""
+    for found in _TOKEN.finditer(expression):
+        name = (found["name"] or "").partition(".")[0]
+        if name and name not in _MATLAB:
+            yield name
+
+
+def assigned(code: str) -> set[str]:
+    """Return the names that a script gives a value."""
+    found = re.findall(r"(?:^|[;\n,])\s*([A-Za-z]\w*)(?:\.\w+|\([^()\n]*\))*\s*=(?!=)", code)
+    several = re.findall(r"(?:^|[;\n,])\s*\[([^\]\n]*)\]\s*=(?!=)", code)
+    return {*found, *(name for group in several for name in re.findall(r"[A-Za-z]\w*", group))}
+
+
+def unresolved(model: Model, libraries: Iterable[Model] = ()) -> dict[str, tuple[str, ...]]:
+    """Return the names that values of blocks take from a workspace, each with the paths of up to three blocks.
+
+    What a link gives to a block of a library is read if the library is among `libraries`: only its mask tells a name
+    from a choice.
+    """
+    masks = {f"{one.name}/{path}": block.mask for one in libraries for path, block in one.blocks() if block.mask}
+    found: dict[str, list[str]] = {}
+    known = {name for code in model.callbacks.values() for name in assigned(code)}
+    _unresolved(model.root, "", known, masks, found)
+    return {name: tuple(paths[:3]) for name, paths in sorted(found.items())}
+
+
+def _unresolved(system: System, path: str, known: set[str], masks: Mapping[str, Mask], found: _Names) -> None:
+    for block in system.blocks.values():
+        if block.commented:
+            continue
+        at = f"{path}/{escaped(block.name)}".lstrip("/")
+        mask = masks.get(collapsed(block.values.get("SourceBlock", ""))) if block.type == "Reference" else block.mask
+        given = {**block.values, **block.instance}  # a link's values stand beside its own in older files
+        values = [given.get(key, "") for key in (*VALUES.get(block.kind, ()), "SampleTime")]
+        if mask is not None:
+            values += [given.get(key, text) for key, text in mask.computed.items()]
+        for name in {name for value in values for name in identifiers(value)} - known:
+            found.setdefault(name, []).append(at)
+        if block.system is not None:
+            inner = known if mask is None else known | set(mask.parameters) | assigned(mask.initialization)
+            _unresolved(block.system, at, inner, masks, found)

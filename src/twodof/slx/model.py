@@ -1,0 +1,207 @@
+"""A Simulink model as it stands in its file: systems of blocks and lines, masks, charts, callbacks and solver.
+
+`read_model(path)` reads .slx and .mdl of all releases. Values are the file's MATLAB text: nothing is computed here.
+Names are compared with their white space collapsed, as a name may hold a line break.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from twodof.errors import DiagramError, LogError
+from twodof.flightlog import fence
+from twodof.slx.reader import plain_model
+
+
+@dataclass(frozen=True)
+class Pin:
+    """One end of a line: the identifier of a block, `out`, `in`, `enable` or another kind of port, and its number."""
+
+    sid: str
+    kind: str
+    number: int
+
+    @classmethod
+    def parse(cls, text: str) -> "Pin":
+        """Read `12:5#out:1` or `12#enable`."""
+        sid, _, port = text.rpartition("#")
+        kind, _, number = port.partition(":")
+        return cls(sid, kind.lower(), int(number) if number.isdigit() else 1)
+
+
+@dataclass
+class Wire:
+    """A line or a branch of one: its way as offsets (dx, dy), and where it ends or parts."""
+
+    points: list[tuple[float, float]]
+    sink: Pin | None
+    branches: list["Wire"]
+
+    def sinks(self) -> Iterator[Pin]:
+        """Yield the pins that are driven."""
+        stack = [self]
+        while stack:
+            at = stack.pop()
+            if at.sink is not None:
+                yield at.sink
+            stack += at.branches
+
+
+@dataclass
+class Line:
+    """A signal: its name, the pin that drives it (None where it hangs in the air) and its wire."""
+
+    name: str
+    source: Pin | None
+    wire: Wire
+
+
+@dataclass
+class Mask:
+    """A mask: its parameters by name, each with its kind (`edit`, `popup`, `checkbox`) and text, and its code."""
+
+    kind: str
+    parameters: dict[str, tuple[str, str]]
+    initialization: str
+
+    @property
+    def computed(self) -> dict[str, str]:
+        """The parameters whose text is an expression."""
+        return {name: text for name, (kind, text) in self.parameters.items() if kind == "edit"}
+
+
+@dataclass
+class Block:
+    """A block: its type, name, identifier (SID), the parameters that the file gives, its mask and what is inside."""
+
+    type: str
+    name: str
+    sid: str
+    values: dict[str, str]
+    instance: dict[str, str] = field(default_factory=dict)
+    """What a link to a library gives its block."""
+    ports: tuple[int, int] | None = None
+    """Numbers of inputs and outputs; None where the file leaves the type's own."""
+    signals: dict[int, str] = field(default_factory=dict)
+    """Names of the signals by the output's number."""
+    mask: Mask | None = None
+    system: "System | None" = None
+
+    @property
+    def kind(self) -> str:
+        """What the block is for a reader: its type, the library block of a link, or MATLAB Function and Chart."""
+        if self.type == "Reference":
+            return collapsed(self.values.get("SourceBlock", "")).rpartition("/")[2] or "Reference"
+        special = self.values.get("SFBlockType", "NONE")
+        return special if special not in ("NONE", "") else self.type
+
+    @property
+    def commented(self) -> bool:
+        """Whether it is commented out, or through."""
+        return self.values.get("Commented", "off") != "off"
+
+
+@dataclass
+class System:
+    """A sheet: its blocks by identifier, its lines and notes."""
+
+    blocks: dict[str, Block]
+    lines: list[Line]
+    notes: list[str]
+
+    def walk(self, path: str = "") -> Iterator[tuple[str, "System"]]:
+        """Yield this system and all below it with their paths, `Controller/PID`, in the order of the file."""
+        yield path, self
+        for block in self.blocks.values():
+            if block.system is not None:
+                yield from block.system.walk(f"{path}/{escaped(block.name)}".lstrip("/"))
+
+
+@dataclass
+class Chart:
+    """A MATLAB Function or a Stateflow chart: its path, and the code or labels in it."""
+
+    path: str
+    function: bool
+    text: str
+
+
+@dataclass
+class Model:
+    """A model, library or subsystem file."""
+
+    name: str
+    kind: str
+    release: str
+    version: str
+    solver: dict[str, str]
+    callbacks: dict[str, str]
+    defaults: dict[str, dict[str, str]]
+    """Parameters that the file gives to all blocks of a type."""
+    root: System
+    charts: list[Chart]
+    parts: list[str]
+
+    def blocks(self) -> Iterator[tuple[str, Block]]:
+        """Yield each block with its path from the model's top."""
+        for path, system in self.root.walk():
+            for block in system.blocks.values():
+                yield f"{path}/{escaped(block.name)}".lstrip("/"), block
+
+    def system(self, path: str) -> System:
+        """Return the system at a path; "" is the top. Raises DiagramError if there is none."""
+        wanted = collapsed(path).strip("/")
+        found = dict(self.root.walk())
+        if wanted not in found:
+            known = ", ".join(list(found)[1:9]) or "none"
+            raise DiagramError(f"has no subsystem {path}", self.name, f"its first ones are: {known}")
+        return found[wanted]
+
+
+def collapsed(name: str) -> str:
+    """Return a name with each run of white space as one space."""
+    return " ".join(name.split())
+
+
+def escaped(name: str) -> str:
+    """Return a name as it stands in a path: Simulink doubles a slash."""
+    return collapsed(name).replace("/", "//")
+
+
+def read_model(path: str | Path) -> Model:
+    """Read a model, library or subsystem file: .slx, or .mdl of both kinds.
+
+    Raises DiagramError, with the remedy, for what is not one, is damaged, or takes more than the fence's limits.
+    """
+    try:
+        plain, _ = fence.read(plain_model, path)
+    except LogError as reason:
+        remedy = "give a .slx or .mdl file; open a damaged one in Simulink and save it again"
+        raise DiagramError(reason.what, reason.where, remedy) from reason
+    charts = [Chart(*one) for one in plain.pop("charts")]
+    return Model(name=Path(path).stem, root=_system(plain.pop("root")), charts=charts, **plain)
+
+
+def _system(plain: Mapping[str, Any]) -> System:
+    blocks = {one["sid"]: _block(one) for one in plain["blocks"]}
+    lines = [Line(name, Pin.parse(source) if source else None, _wire(wire)) for name, source, wire in plain["lines"]]
+    return System(blocks, lines, plain["notes"])
+
+
+def _block(plain: dict[str, Any]) -> Block:
+    mask, system, ports = plain.pop("mask", None), plain.pop("system", None), plain.pop("ports", None)
+    return Block(
+        **{**plain, "signals": {int(k): v for k, v in plain.get("signals", {}).items()}},
+        mask=None if mask is None else Mask(mask[0], {k: (v[0], v[1]) for k, v in mask[1].items()}, mask[2]),
+        system=None if system is None else _system(system),
+        ports=None if ports is None else (ports[0], ports[1]),
+    )
+
+
+def _wire(plain: list[Any]) -> Wire:
+    points, sink, branches = plain
+    numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", points)]
+    pairs = list(zip(numbers[::2], numbers[1::2], strict=False))
+    return Wire(pairs, Pin.parse(sink) if sink else None, [_wire(one) for one in branches])
