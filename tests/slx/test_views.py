@@ -72,7 +72,7 @@ def test_the_picture_shows_each_block_and_each_wire_meets_its_pins(model: Model)
     assert f'href="{sheet_name(model, "limits//all")}"' in svg
     inner = sheet_svg(model, "limits//all")
     assert f'href="{sheet_name(model, "")}"' in inner
-    assert "-M_MAX .. M" in inner
+    assert "-M_MAX .. …" in inner
     assert svg == sheet_svg(model)
 
 

@@ -184,7 +184,9 @@ def identify(
     kind = KINDS[asked]
     if window is not None:
         if not all(map(math.isfinite, window)):
-            raise LogError(f"the window {window[0]:g} to {window[1]:g} s is not finite", named, "give two times in seconds")
+            raise LogError(
+                f"the window {window[0]:g} to {window[1]:g} s is not finite", named, "give two times in seconds"
+            )
         for log in logs:
             log.slice(*window)
     records = _distinctly_named([cut(log, kind, window) for log in logs], files)
