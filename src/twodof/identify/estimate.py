@@ -171,12 +171,13 @@ class Estimate:
         place = f"{one.output} in '{one.record}'"
         if self.disturbance.kind == "innovation":
             return f"{place}: FIT {one.fit_percent:.2f} % one sample ahead, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
-        if one.ahead is not None and self.disturbance.answering:
+        if one.ahead is not None and self.disturbance.predicts:
+            pushes = "pushes" if self.disturbance.walks else "gusts"
             return (
-                f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the gusts, "
+                f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the {pushes}, "
                 "which says little in closed loop"
             )
-        if self.disturbance.answering and self.disturbance.kind != "white":
+        if self.disturbance.predicts and self.disturbance.kind != "white":
             # Of a flight that was not fitted the noise model has not been asked.
             return f"{place}: FIT {one.fit_percent:.2f} % without the gusts, which says little in closed loop"
         return f"{place}: FIT {one.fit_percent:.2f} %, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"

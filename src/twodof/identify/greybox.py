@@ -91,6 +91,8 @@ def fit(
     record under 800 samples "input" asks for a linear structure with the lag of the actuator. Another one takes "ar" in
     closed loop, from 250 samples on, and output error in open loop. In open loop output error also stays where the
     noise model would change the estimates by more than chance: then the structure is wrong.
+    With "walk" random pushes move states of the structure that says which (`Structure.pushed`), beside white noise at
+    its one output, and "auto" takes it for such a structure.
     `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are still estimated,
     and the prior is weighed against the data (Bayes, normal). It is added to what the structure knows of the
     machine (`Structure.prior`); an infinite standard deviation takes that away. Its mean is the first guess.
@@ -269,7 +271,7 @@ def _predicted(
 
 def _check_followed(problem: Problem, found: Disturbed) -> None:
     """Raise IdentificationError for a model whose outputs run away from the data."""
-    if found.model.answering and found.model.kind in ("ar", "input"):
+    if found.model.kind == "walk" or (found.model.answering and found.model.kind in ("ar", "input")):
         return  # it is judged by what it predicts: the input answers pushes that a simulation knows nothing of
     own, x = found.predictor or (problem, found.minimum.x)
     if not astray(own, own.residual(x), _ASTRAY):
@@ -476,6 +478,9 @@ def _comparisons(
     for k, block in enumerate(problem.blocks):
         record, model = problem.records[block.record], ahead[k]
         unpredicted = None if model is None else model.sigma
+        if found is not None and found.model.walks:
+            size = np.diag(list(found.model.walks.values())[k].factor)
+            unpredicted = float(np.sqrt(np.mean((size * found.prediction_error[block.rows]) ** 2)))
         if predicts:
             unpredicted = rmse(problem.measured(k), simulated[block.record][block.output])
         step = np.floor(record.outputs[block.output].position).astype(np.int64)

@@ -133,7 +133,7 @@ class IdentifiedFlight:
             if one in fitted and self.simple is not None and one.output == self.simple.output:
                 _, _, offset, simulated = self._simulated(self.simple)
                 curves["simple"] = simulated + offset
-            ahead = one.ahead if self.greybox.disturbance.answering else None
+            ahead = one.ahead if self.greybox.disturbance.predicts else None
             figures = {"fit_percent": one.fit_percent, "fit_percent_ahead": ahead, "rmse": one.rmse}
             figures |= {"validation": one in checked, "wanders": one.wanders}
             rows.append(_output(one.output, one.record, figures, one.time - one.time[0], curves))

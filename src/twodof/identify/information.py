@@ -16,6 +16,7 @@ from twodof.errors import is_number, shown
 from twodof.excitation import LIMITS, Doublet, Excitation, Multisine, ThreeTwoOneOne
 from twodof.identify.covariance import check_identifiable, covariance
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
+from twodof.identify.disturbance.walk import spreads, walk
 from twodof.identify.estimate import Estimate
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples
@@ -112,10 +113,12 @@ def predict(
     problem.set_noise(noise)
     x = problem.x0
     jacobian = problem.central_jacobian(x)
-    for block in problem.blocks:
+    for k, block in enumerate(problem.blocks):
         rows = jacobian[block.rows] * noise[block.output]
         if disturbance is not None and (model := disturbance.of(block.output, dt)) is not None:
             jacobian[block.rows] = model.whiten(rows, [slice(0, rows.shape[0])])
+        if disturbance is not None and (own := disturbance.walks.get(block.output)) is not None:
+            jacobian[block.rows] = walk(noise[block.output], own.pushes, spreads(problem, x, k)).whiten(rows)
         if (spread := (covariance or {}).get(block.output)) is not None:
             jacobian[block.rows] = np.linalg.solve(np.linalg.cholesky(spread), rows)
     labels = tuple(slot.label for slot in problem.slots)

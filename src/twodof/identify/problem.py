@@ -1,7 +1,7 @@
 """Problem: the least squares of a fit, with the unknowns in x, residuals, Jacobian, prior and band."""
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -162,26 +162,33 @@ class Problem:
         plain = x.tolist()
         return self._simulators[record].run({name: plain[i] for name, i in self._pick[record].items()})
 
-    def minimise(self, x: Array) -> LeastSquaresMinimum:
-        """Search the least squares from `x` on.
+    def minimise(self, x: Array, whiten: Callable[[Array], Array] | None = None) -> LeastSquaresMinimum:
+        """Search the least squares from `x` on; `whiten` takes a known noise out of residual and Jacobian.
 
         Dry friction makes kinks, where the derivatives promise a decrease that no step gives. There the search goes on
         from a better point at `_NEAR` along the axes of the confidence region, and has converged if there is none.
         """
-        found = minimise(self.residual, self.jacobian, x, self.lower, self.upper)
+
+        def residual(x: Array) -> Array:
+            return self.residual(x) if whiten is None else whiten(self.residual(x))
+
+        def jacobian(x: Array, known: Array) -> Array:
+            return self.jacobian(x, known) if whiten is None else whiten(self.jacobian(x, self.residual(x)))
+
+        found = minimise(residual, jacobian, x, self.lower, self.upper)
         for _ in range(_TURNS):
-            if found.converged or not np.isfinite(slopes := self.jacobian(found.x, found.residual)).all():
+            if found.converged or not np.isfinite(slopes := jacobian(found.x, found.residual)).all():
                 break
             _, reach, axes = np.linalg.svd(slopes, full_matrices=False)
             if not reach[-1] > 0.0:
                 break
             steps = _NEAR * math.sqrt(2.0 * found.cost / found.residual.size) * axes / reach[:, None]
             around = np.clip(found.x + np.concatenate([steps, -steps]), self.lower, self.upper)
-            costs = [0.5 * float(r @ r) for r in map(self.residual, around)]
+            costs = [0.5 * float(r @ r) for r in map(residual, around)]
             better = int(np.argmin(costs))
             if not costs[better] < found.cost:
                 return replace(found, converged=True)
-            found = minimise(self.residual, self.jacobian, around[better], self.lower, self.upper)
+            found = minimise(residual, jacobian, around[better], self.lower, self.upper)
         return found
 
     def residual(self, x: Array) -> Array:

@@ -1,7 +1,7 @@
 """Ready-made fits of the paper's experiments: structures by name, priors, and values held from earlier flights."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -16,6 +16,7 @@ from twodof.identify.experiments import KINDS, kind_of, only
 from twodof.identify.greybox import fit
 from twodof.identify.record import SHORTEST_PIECE, Record
 from twodof.identify.repeated import Repeated, check_repetitions
+from twodof.identify.rotor_speed import thrust_above
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.identify.validate import deviations
@@ -55,10 +56,15 @@ _MOVED_M = 0.1
 
 @dataclass(frozen=True)
 class FlownMachine:
-    """The rig whose calibration holds for a flight, and whether its cart was `free` to slide."""
+    """The rig whose calibration holds for a flight, and whether its cart was `free` to slide.
+
+    `supply` is the share of the thrust above that of the rig, and its standard deviation, if the log tells it. It is of
+    the flight, and not of the machine.
+    """
 
     rig: str = _REAL
     free: bool = False
+    supply: tuple[float, float] | None = field(default=None, compare=False)
 
     @property
     def text(self) -> str:
@@ -115,7 +121,7 @@ def machine_of(log: FlightLog, start: float, stop: float) -> FlownMachine:
     seen = log["dist"].slice(start, stop).value if "dist" in log else np.zeros(0)
     moved = seen.size > 0 and float(np.ptp(seen)) > _MOVED_M
     rig, _ = _rig_in(log)
-    return FlownMachine(rig or _REAL, moved)
+    return FlownMachine(rig or _REAL, moved, thrust_above(log, start, stop) if moved else None)
 
 
 def _rig_in(log: FlightLog) -> tuple[str | None, bool]:
@@ -394,8 +400,11 @@ def by_output_error(
         if output == "x":
             calibrated, before = known_rail(load_rig(machine.rig).snapshot())
             given = {**{name: value for name, value in calibrated.items() if name in structure.unknowns}, **given}
-            wanted = wanted or (*TRAVEL, *before)
+            supplied = tuple({"supply_bias"} & set(structure.unknowns)) if machine.supply else ()
+            wanted = wanted or (*TRAVEL, *before, *supplied)
             before = {name: one for name, one in before.items() if name in wanted and name not in given}
+            # Even a short flight, whose residual does not show it, has the gyro's walk in its pitch.
+            disturbance = "walk" if disturbance == "auto" else disturbance
     if prior:  # what it speaks of is estimated
         before = {**(before or {}), **prior}
         wanted = tuple(dict.fromkeys((*(wanted or structure.estimate), *prior)))
@@ -403,7 +412,11 @@ def by_output_error(
     options: dict[str, Any] = {"estimate": wanted, "values": given, "disturbance": disturbance, "prior": before}
     # Repetitions in open loop are checked on each other.
     unseen = checked if experiment == "attitude" or len(records) == 1 else ()
-    found = [fit(structure, whole, validation=unseen, **options) for whole in pieces]
+    found = []
+    for whole, flown in zip(pieces, machines, strict=False):
+        # How much thrust the battery gave is of each flight.
+        known = {"supply_bias": flown.supply} if flown.supply and "supply_bias" in (wanted or ()) else {}
+        found.append(fit(structure, whole, validation=unseen, **{**options, "prior": {**(before or {}), **known}}))
     if len(found) > 1:
         fitted = list(records) if experiment == "attitude" else [one for piece in pieces for one in piece]
         return Repeated(tuple(record.name for record in records), tuple(found)), fitted

@@ -59,6 +59,8 @@ class Structure:
     response from them has no meaning.
     `predictor` is the model in innovation form, if it has one: its inputs are also the measured outputs, as
     "<output>_measured", and its last unknowns the gains "K_i_j" with which they correct the states.
+    `pushed` names initial states that random pushes move during the whole flight, with what is known of the density of
+    the pushes [the state's unit/sqrt(s)]: the likeliest one, and the factor of a standard deviation.
     Raises IdentificationError for a name that is not a parameter of the diagram.
     """
 
@@ -73,10 +75,12 @@ class Structure:
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     measured: tuple[str, ...] = ()
     predictor: "Structure | None" = None
+    pushed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         parts = [part for sum_of in self.sums.values() for part in sum_of]
-        for name in (*self.estimate, *self.local, *self.scale, *self.prior, *parts, *filter(None, [self.delay])):
+        known = (*self.local, *self.scale, *self.prior, *self.pushed)
+        for name in (*self.estimate, *known, *parts, *filter(None, [self.delay])):
             self._param(name)
         if not self.estimate:
             raise self.error("there is nothing to estimate", "name a parameter of the diagram in `estimate`")

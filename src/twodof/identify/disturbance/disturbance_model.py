@@ -11,12 +11,13 @@ from twodof.errors import IdentificationError
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
 from twodof.identify.disturbance.coloured_problem import NoiseIncrease
 from twodof.identify.disturbance.gust import Gust
+from twodof.identify.disturbance.walk import Walk
 from twodof.identify.problem import Problem
 
 Array = NDArray[np.float64]
 
-Disturbance = Literal["auto", "white", "ar", "input", "innovation"]
-KINDS: tuple[Disturbance, ...] = ("auto", "white", "ar", "input", "innovation")
+Disturbance = Literal["auto", "white", "ar", "input", "walk", "innovation"]
+KINDS: tuple[Disturbance, ...] = ("auto", "white", "ar", "input", "walk", "innovation")
 
 # Clocks of one machine differ by some parts in a thousand.
 _SAME = 0.01
@@ -26,16 +27,17 @@ _SAME = 0.01
 class DisturbanceModel:
     """The noise model of an estimate.
 
-    `kind` is "white", "ar", "input" or "innovation". `noise` gives each output's autoregression in the output's unit,
-    for samples `dt` [s] apart. Its keys are the outputs, or "output[record]" with several records, of which the pieces
-    of a flight are one. It is empty for white noise.
+    `kind` is one of `KINDS` but "auto". `noise` gives each output's autoregression in the output's unit, for samples
+    `dt` [s] apart. Its keys are the outputs, or "output[record]" with several records, of which the pieces of a flight
+    are one. It is empty for white noise.
     `gusts` has, by the same names, the pushes at the input of the kind "input". `louder` has the noises that are louder
     after an input has moved. `answering` names the
     inputs that answer the noise, as a controller's output does (closed loop). `change` says by how many of its standard
     deviations the noise model would have changed an estimate. If it is not 0, "auto" stayed with white noise for this
     reason. In open loop only a structure that leaves something out causes such a change. It is infinite if the noise
     model had taken the response itself for noise. `gains` are those of the kind
-    "innovation", with which a predictor corrects its states (`Structure.predictor`).
+    "innovation", with which a predictor corrects its states (`Structure.predictor`). `walks` has, by the names of
+    `noise`, the pushes at the states of the kind "walk".
     """
 
     kind: Disturbance = "white"
@@ -46,6 +48,7 @@ class DisturbanceModel:
     dt: float = 0.0
     louder: Mapping[str, NoiseIncrease] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
+    walks: Mapping[str, Walk] = field(default_factory=dict)
 
     def of(self, output: str, dt: float) -> Autoregression | None:
         """Return the noise of `output` for a flight with samples `dt` [s] apart; None if it is white.
@@ -70,6 +73,11 @@ class DisturbanceModel:
         return found[0]
 
     @property
+    def predicts(self) -> bool:
+        """Return True if a model is to be judged by its predictions: a simulation knows nothing of earlier pushes."""
+        return bool(self.answering) or self.kind == "walk"
+
+    @property
     def text(self) -> str:
         """One line for a table."""
         if self.kind == "white":
@@ -77,6 +85,13 @@ class DisturbanceModel:
         if self.kind == "innovation":
             gains = ", ".join(f"{name} {value:.3g}" for name, value in self.gains.items())
             return f"noise at the states and the outputs, which a predictor corrects with gains {gains}"
+        if self.kind == "walk":
+            walks = (
+                f"{label}: white {one.white:.2g}, pushes of "
+                + " and ".join(f"{density:.2g} at {state.removesuffix('_0')}" for state, density in one.pushes.items())
+                for label, one in self.walks.items()
+            )
+            return f"a walk of states under random pushes [1/sqrt(s)], {'; '.join(walks)}"
         if self.kind == "input":
             pushes = ", ".join(
                 f"{label}: standard deviation {one.std:.2g}, correlation time {one.correlation_time:.2g} s"
@@ -99,6 +114,7 @@ class DisturbanceModel:
             "louder": {label: asdict(one) for label, one in self.louder.items()},
             "answering_inputs": list(self.answering),
             "gains": dict(self.gains),
+            "walks": {label: {"white": one.white, "pushes": dict(one.pushes)} for label, one in self.walks.items()},
             "noise": {
                 label: {"order": model.order, "coefficients": model.coefficients.tolist(), "sigma": model.sigma}
                 for label, model in self.noise.items()

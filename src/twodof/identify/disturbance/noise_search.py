@@ -1,6 +1,7 @@
 """Which noise model a fit takes, and the estimate under it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from twodof.identify.covariance import check_identifiable, covariance, robust_co
 from twodof.identify.disturbance.coloured_problem import ColouredProblem
 from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel, inputs_that_answer
 from twodof.identify.disturbance.gust import GustModel, can_be_pushed
+from twodof.identify.disturbance.walk import MOST, Walk, WalkModel
 from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
 from twodof.identify.validate import is_rounding, whiteness
@@ -83,7 +85,8 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
     "auto" stays with white noise where the output error's residual is white, and where a band is fitted or the noise is
     given. Otherwise it takes the autoregression for long records (`LONG`; in open loop twice that). For shorter ones it
     takes the gust at the input, which has few unknowns. The structure must then be linear and have the actuator's lag.
-    Another structure takes the autoregression from `LONG` on, in closed loop from `_FEWEST` samples of all records.
+    Another structure takes the autoregression from `LONG` on, in closed loop from `_FEWEST` samples of all records. A
+    structure with pushed states takes their walk instead of either.
 
     In open loop output error and noise model are both right if the structure is. Where they differ by more than chance
     (Hausman, 1978), the structure is wrong, unless a gust explains the difference. Output error then stays, which at
@@ -92,12 +95,16 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
     residual, jacobian = problem.residual(minimum.x), problem.central_jacobian(minimum.x)
     white = Disturbed(minimum, jacobian, residual, np.ones(len(problem.blocks)), DisturbanceModel())
     passed = problem.band is not None or passes(problem, white.prediction_error)
+    if disturbance == "walk" and _can_walk(problem):
+        return _settled(problem, white, _walked(problem, minimum))
     if passed:
         return white if disturbance in ("auto", "white") else _asked(problem, minimum, disturbance, ())
     answering = inputs_that_answer(problem, white.prediction_error)
     white = replace(white, model=DisturbanceModel(answering=answering))
     if disturbance == "white" or noise_given:
         return white
+    if disturbance == "auto" and _can_walk(problem):
+        return _settled(problem, white, _walked(problem, minimum))
     samples = np.array([block.rows.stop - block.rows.start for block in problem.blocks])
     short = samples.min() < (LONG if answering else _SLOW * LONG)
     if disturbance == "auto" and short and can_be_pushed(problem, problem.x0, sure=True):
@@ -125,6 +132,11 @@ def _asked(
 ) -> Disturbed:
     if disturbance == "ar":
         return _coloured(problem, minimum, answering)
+    if disturbance == "walk":
+        raise problem.structure.error(
+            f"disturbance='walk' needs a structure with pushed states and one output of at most {MOST} samples",
+            "take disturbance='ar', which any structure can have",
+        )
     if not can_be_pushed(problem, minimum.x):
         raise problem.structure.error(
             "disturbance='input' needs a linear structure of one input, and one output sampled once a step",
@@ -137,7 +149,7 @@ def _settled(problem: Problem, white: Disturbed, found: Disturbed) -> Disturbed:
     """On "auto": what was `found`, unless that cannot be or says that the structure is wrong."""
     if not (math.isfinite(found.minimum.cost) and _identifiable(problem, found)):
         return white
-    if not white.model.answering:
+    if found.model.kind != "walk" and not white.model.answering:
         change = _change(problem, white, found)
         coloured = found.model.kind == "ar"
         if coloured and _far_worse(problem, found.minimum.x, white.minimum.x):
@@ -197,6 +209,41 @@ def _pushed_from(problem: Problem, x: Array, answering: tuple[str, ...]) -> Dist
     found = replace(found, gusts={label: gust.gust for label, gust in zip(noise, gusts, strict=True)})
     cost = 0.5 * float(error @ error) + filtered.log_deviations(models)
     return Disturbed(ended, jacobian, error, _deviation(problem, problem.residual(x)), found, cost)
+
+
+def _can_walk(problem: Problem) -> bool:
+    """Return True if each record has one output, not too long, and the structure says which of its states walk."""
+    one = len(problem.blocks) == len(problem.records) and problem.band is None
+    return one and bool(problem.structure.pushed) and problem.size <= MOST * len(problem.blocks)
+
+
+def _walked(problem: Problem, minimum: LeastSquaresMinimum) -> Disturbed:
+    """Search the most likely unknowns under a walk of the pushed states."""
+    x, stands = minimum.x, False
+    thetas: list[Array | None] = [None] * len(problem.blocks)
+    for turn in range(_TURNS):
+        models = [WalkModel(problem, x, k, theta) for k, theta in enumerate(thetas)]
+        noises = [model.improve(15 if turn else 40) for model in models]
+        thetas = [model.theta for model in models]
+
+        def whiten(rows: Array, noises: Sequence[Walk] = tuple(noises)) -> Array:
+            white = rows.copy()
+            for block, noise in zip(problem.blocks, noises, strict=True):
+                white[block.rows] = noise.whiten(rows[block.rows])
+            return white
+
+        found = problem.minimise(x, whiten)
+        jacobian = whiten(problem.central_jacobian(found.x))
+        moved = float(np.linalg.norm(jacobian @ (found.x - x)))
+        x = found.x
+        if stands := moved < _STILL or not math.isfinite(found.cost):
+            break
+    ended = replace(found, converged=found.converged and (stands or moved < 0.5))
+    error = whiten(problem.residual(x))
+    units = problem.noise()
+    walks = {label: noise.scaled(unit) for (label, unit), noise in zip(units.items(), noises, strict=True)}
+    model = DisturbanceModel("walk", {}, inputs_that_answer(problem, error), dt=problem.records[0].dt, walks=walks)
+    return Disturbed(ended, jacobian, error, np.array([noise.white for noise in noises]), model)
 
 
 def _deviation(problem: Problem, raw: Array) -> Array:

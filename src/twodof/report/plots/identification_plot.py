@@ -197,7 +197,7 @@ class _Drawing:
         """Return the FIT of the one-step prediction for a closed loop, where gusts change the flight."""
         if self.found.disturbance.kind == "innovation":
             return " one sample ahead"
-        if one.ahead is None or not self.found.disturbance.answering:
+        if one.ahead is None or not self.found.disturbance.predicts:
             return ""
         # Of several records each has a third of the width.
         return f" without the gusts, {one.ahead:.1f} % one sample ahead" if len(self.columns) == 1 else " without gusts"

@@ -1,0 +1,138 @@
+"""A walk of states as part of the noise: random pushes at states of the structure, beside the sensor's white noise.
+
+The residual of an output is v = e + sum over the pushed states of h * w: white noise e of the sensor, and white pushes
+w that each move a state for good, as the gyro's noise moves an integrated pitch and uneven friction a speed. h is the
+response of the output to a jump of that state. How dense the pushes are is most likely, given that the structure's
+unknowns were fitted to the same samples: restricted likelihood (Patterson and Thompson, 1971).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.identify.problem import Problem
+from twodof.identify.record import Record, Samples
+from twodof.identify.record_simulator import RecordSimulator
+
+Array = NDArray[np.float64]
+
+MOST = 1500
+"""Samples of an output up to which its whole covariance is taken: a minute and a half of a range sensor."""
+
+_JUMP = 1e-3
+_BOUNDS = (-25.0, 5.0)
+_IMPOSSIBLE = 1e10
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """Standard deviation of the sensor's `white` noise, and density of the `pushes` at each state [its unit/sqrt(s)].
+
+    `factor` (samples, samples) is the Cholesky factor of the noise's covariance.
+    """
+
+    white: float
+    pushes: Mapping[str, float]
+    factor: Array = field(repr=False)
+    order: int = 0
+
+    def scaled(self, factor: float) -> "Walk":
+        """Return the same noise in another unit of the output."""
+        return replace(self, white=self.white * factor, factor=self.factor * factor)
+
+    def whiten(self, rows: Array, pieces: Sequence[slice] = ()) -> Array:
+        """Return `rows` (samples, ...) less their prediction from the earlier ones, over the deviation of the error."""
+        from scipy.linalg import solve_triangular  # imported late: most commands start without it
+
+        return np.asarray(solve_triangular(self.factor, rows, lower=True, check_finite=False))
+
+    def log_deviations(self, pieces: Sequence[slice] = ()) -> float:
+        """Half the logarithm of the determinant of the noise's covariance."""
+        return float(np.log(np.diag(self.factor)).sum())
+
+
+class WalkModel:
+    """Restricted likelihood of one output of one record, by `theta`: logarithms of white noise and of each density."""
+
+    def __init__(self, problem: Problem, x: Array, block: int, theta: Array | None = None) -> None:
+        rows = problem.blocks[block]
+        self.known = problem.structure.pushed
+        self._unit = float(problem.sigma[block])
+        self._spreads = spreads(problem, x, block)
+        raw, jacobian = problem.residual(x), problem.central_jacobian(x)
+        length = np.linalg.norm(jacobian, axis=0)
+        jacobian = jacobian[:, length > 0.0] / length[length > 0.0]
+        self._both = np.column_stack([jacobian, raw])[rows.rows]
+        before = np.column_stack([jacobian, raw])[problem.size :]
+        self._before = before.T @ before
+        self._start = np.array([math.log(self._unit), *(math.log(density) for density, _ in self.known.values())])
+        self.theta = self._start if theta is None else theta
+
+    def noise(self, theta: Array) -> Walk:
+        """Return the noise in units of the residual's weight. Raises LinAlgError where rounding rules."""
+        white, *densities = np.exp(theta).tolist()
+        pushes = dict(zip(self.known, densities, strict=True))
+        return walk(white, pushes, self._spreads).scaled(1.0 / self._unit)
+
+    def cost(self, theta: Array) -> float:
+        """-log of the restricted likelihood, and the priors of the densities."""
+        try:
+            model = self.noise(theta)
+        except np.linalg.LinAlgError:
+            return _IMPOSSIBLE
+        rows = model.whiten(self._both)
+        gram = rows.T @ rows + self._before
+        if not np.isfinite(gram).all():
+            return _IMPOSSIBLE
+        normal, last = gram[:-1, :-1], gram[:-1, -1]
+        sign, log_determinant = np.linalg.slogdet(normal)
+        left = float(gram[-1, -1] - last @ np.linalg.lstsq(normal, last, rcond=1e-12)[0])
+        if not (sign > 0.0 and math.isfinite(left)):
+            return _IMPOSSIBLE
+        factors = np.log([factor for _, factor in self.known.values()])
+        prior = 0.5 * float((((theta - self._start)[1:] / factors) ** 2).sum())
+        return model.log_deviations() + 0.5 * (float(log_determinant) + left) + prior
+
+    def improve(self, iterations: int) -> Walk:
+        """Take the most likely `theta`, searched for from the present one; the noise that it means."""
+        from scipy.optimize import minimize  # imported late: most commands start without it
+
+        options = {"maxiter": iterations, "ftol": 1e-5}
+        bounds = [_BOUNDS] * self.theta.size
+        self.theta = minimize(self.cost, self.theta, method="L-BFGS-B", bounds=bounds, options=options).x
+        return self.noise(self.theta)
+
+
+def walk(white: float, pushes: Mapping[str, float], covariances: Mapping[str, Array]) -> Walk:
+    """Return the noise of these densities, whose `covariances` (samples, samples) are those of pushes of density 1."""
+    size = len(next(iter(covariances.values())))
+    whole = white**2 * np.eye(size) + sum(density**2 * covariances[name] for name, density in pushes.items())
+    return Walk(white, dict(pushes), np.asarray(np.linalg.cholesky(whole), dtype=np.float64))
+
+
+def spreads(problem: Problem, x: Array, block: int) -> dict[str, Array]:
+    """Return the covariance (samples, samples) of an output under pushes of density 1 at each pushed state.
+
+    Dry friction is left out of the response: what it does to a small push depends on the motion.
+    """
+    of = problem.blocks[block]
+    record = problem.records[of.record]
+    grid = {of.output: Samples(np.arange(record.steps, dtype=float), np.zeros(record.steps))}
+    still = {name: np.full(record.steps, float(own.mean())) for name, own in record.inputs.items()}
+    simulator = RecordSimulator(problem.structure, Record("pushed", record.dt, 0.0, still, grid))
+    values = {**problem.values(x, of.record), **dict.fromkeys(problem.structure.pushed, 0.0)}
+    values |= {name: 0.0 for name in ("coulomb",) if name in values}
+    rest = simulator.run(values)[of.output].copy()
+    position = record.outputs[of.output].position
+    pushed, lasts = 0.5 * (position[1:] + position[:-1]), np.diff(position) * record.dt
+    age = np.maximum(position[:, None] - pushed[None, :], 0.0)
+    found = {}
+    for name in problem.structure.pushed:
+        moved = (simulator.run({**values, name: _JUMP})[of.output] - rest) / _JUMP
+        # At age 0 a state has moved nothing yet, and an output that shows it at once is not one for a walk.
+        response = np.where(age > 0.0, np.interp(age, np.arange(record.steps), moved), 0.0)
+        found[name] = (response * lasts) @ response.T
+    return found
