@@ -128,6 +128,7 @@ def test_without_noise_the_structure_is_the_rig() -> None:
         record,
         estimate=("k_v", "p_v", "theta_0", "v_0"),
         values={"curve": curve, "rotor_delay": TRUE_PITCH["tau"] + Q_AGE},
+        disturbance="white",
     )
     # The structure takes q between its 4 ms samples as a straight line, which for a loop of 12 rad/s errs by
     # (12 * 0.004)^2 / 8 of it.

@@ -97,7 +97,8 @@ def identify(
     disturbance: Annotated[
         Disturbance,
         option(
-            "White: output error; ar: coloured noise; input: gusts; innovation: predictor; auto: what the data ask."
+            "White: output error; ar: coloured noise; input: gusts; walk: pushes at the states; innovation: predictor; "
+            "auto: what the data ask."
         ),
     ] = "auto",
     json: Json = False,

@@ -12,11 +12,11 @@ from twodof.flightlog.log import FlightLog
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.estimate import Estimate
-from twodof.identify.experiments import KINDS, kind_of, only
+from twodof.identify.experiments import KINDS, in_motion, kind_of, only
 from twodof.identify.greybox import fit
 from twodof.identify.record import SHORTEST_PIECE, Record
 from twodof.identify.repeated import Repeated, check_repetitions
-from twodof.identify.rotor_speed import thrust_above
+from twodof.identify.rotor_speed import supply_of
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.identify.validate import deviations
@@ -58,7 +58,7 @@ _MOVED_M = 0.1
 class FlownMachine:
     """The rig whose calibration holds for a flight, and whether its cart was `free` to slide.
 
-    `supply` is the share of the thrust above that of the rig, and its standard deviation, if the log tells it. It is of
+    `supply` is the thrust over that at which k_v is stated, and its standard deviation, if the log tells it. It is of
     the flight, and not of the machine.
     """
 
@@ -121,7 +121,7 @@ def machine_of(log: FlightLog, start: float, stop: float) -> FlownMachine:
     seen = log["dist"].slice(start, stop).value if "dist" in log else np.zeros(0)
     moved = seen.size > 0 and float(np.ptp(seen)) > _MOVED_M
     rig, _ = _rig_in(log)
-    return FlownMachine(rig or _REAL, moved, thrust_above(log, start, stop) if moved else None)
+    return FlownMachine(rig or _REAL, moved, supply_of(log, start, stop) if moved else None)
 
 
 def _rig_in(log: FlightLog) -> tuple[str | None, bool]:
@@ -398,9 +398,10 @@ def by_output_error(
         output = "v" if "theta" in structure.inputs else "x"
         pieces, checked = [(only(one, output),) for one in records], [only(other, output) for other in checked]
         if output == "x":
+            pieces = [tuple(only(part, output) for part in in_motion(one)) for one in records]
             calibrated, before = known_rail(load_rig(machine.rig).snapshot())
             given = {**{name: value for name, value in calibrated.items() if name in structure.unknowns}, **given}
-            supplied = tuple({"supply_bias"} & set(structure.unknowns)) if machine.supply else ()
+            supplied = tuple({"supply"} & set(structure.unknowns)) if all(one.supply for one in machines) else ()
             wanted = wanted or (*TRAVEL, *before, *supplied)
             before = {name: one for name, one in before.items() if name in wanted and name not in given}
             # Even a short flight, whose residual does not show it, has the gyro's walk in its pitch.
@@ -415,8 +416,8 @@ def by_output_error(
     found = []
     for whole, flown in zip(pieces, machines, strict=False):
         # How much thrust the battery gave is of each flight.
-        known = {"supply_bias": flown.supply} if flown.supply and "supply_bias" in (wanted or ()) else {}
-        found.append(fit(structure, whole, validation=unseen, **{**options, "prior": {**(before or {}), **known}}))
+        known = {"supply": flown.supply} if flown.supply and "supply" in (wanted or ()) else {}
+        found.append(fit(structure, whole, validation=unseen, **{**options, "prior": {**known, **(before or {})}}))
     if len(found) > 1:
         fitted = list(records) if experiment == "attitude" else [one for piece in pieces for one in piece]
         return Repeated(tuple(record.name for record in records), tuple(found)), fitted

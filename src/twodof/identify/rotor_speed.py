@@ -5,6 +5,8 @@ its IMU is logged at 250 Hz, so each of them is a line at 15 to 40 Hz. Commands 
 they fall slowly, as the battery tires. The front pair has the strongest line of the two.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +32,8 @@ _CLEAR = 30.0
 the largest is about 25."""
 
 
-def thrust_above(log: FlightLog, start: float, stop: float) -> tuple[float, float] | None:
-    """Return share and doubt of the thrust above that at `REFERENCE`, from `start` to `stop` [s].
+def supply_of(log: FlightLog, start: float, stop: float) -> tuple[float, float] | None:
+    """Return the thrust over that at `REFERENCE`, and its standard deviation, from `start` to `stop` [s].
 
     It is None without the channels acc, gyr, T and M, without a clear line, and where the log has the voltage: then the
     supply is known, or is that of a virtual drone, whose vibration does not follow its rotors.
@@ -39,7 +41,7 @@ def thrust_above(log: FlightLog, start: float, stop: float) -> tuple[float, floa
     if "voltage" in log or any(name not in log for name in ("acc", "gyr", "T", "M")):
         return None
     found = rotor_speed(log, start, stop)
-    return None if found is None else ((found / REFERENCE) ** 2 - 1.0, SUPPLY_DOUBT)
+    return None if found is None else ((found / REFERENCE) ** 2, SUPPLY_DOUBT)
 
 
 def rotor_speed(log: FlightLog, start: float, stop: float) -> float | None:
@@ -48,9 +50,10 @@ def rotor_speed(log: FlightLog, start: float, stop: float) -> float | None:
     The line is the straight one, over time, along which the power's logarithm is largest.
     """
     edges = np.linspace(start, stop, max(1, round((stop - start) / _PIECE_S)) + 1)
-    if not edges[1] - edges[0] >= _SHORTEST_S:
+    flown = log["T"].slice(start, stop).value
+    if not edges[1] - edges[0] >= _SHORTEST_S or not flown.size or not flown.mean() > 0.5 * HOVER:
         return None
-    powers = [_powers(log, a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    powers = [_powers(log, a, b) for a, b in pairwise(edges.tolist())]
     logs = np.log(np.maximum(powers, 1e-9))
     middle = 0.5 * (edges[1:] + edges[:-1]) - 0.5 * (start + stop)
     best, at = -np.inf, 0.0
@@ -63,7 +66,7 @@ def rotor_speed(log: FlightLog, start: float, stop: float) -> float | None:
 
 
 def _powers(log: FlightLog, start: float, stop: float) -> Array:
-    """Return the power of the IMU's six channels at `_LINES`, each over its median, with the front command's effect out.
+    """Return the power of the IMU's six channels at `_LINES`, each over its median, without the front pair's commands.
 
     Shape (lines,). The stamps are those of a clock with lost samples, so the transform is a sum and no FFT.
     """

@@ -93,12 +93,12 @@ class Lift(Block):
     params = (
         Param("curve", 0.3, low=0.0, high=1.0, text="quadratic share of the thrust curve"),
         Param("hover", 0.4, low=0.01, high=1.0, text="thrust command at which k_v is stated"),
-        Param("supply_bias", 0.0, low=-0.9, text="share of the thrust above that of the supply at which k_v is stated"),
+        Param("supply", 1.0, low=0.1, high=10.0, text="thrust over that at which k_v is stated, by the battery"),
     )
     derived = (Port("per_hover"),)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        return {"per_hover": 0.5 * (1.0 + p.supply_bias) / self._pair(p.hover, p)}
+        return {"per_hover": 0.5 * p.supply / self._pair(p.hover, p)}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         fore, aft = (maximum(0.0, minimum(1.0, command)) for command in (u.T + u.M, u.T - u.M))

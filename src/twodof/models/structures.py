@@ -28,7 +28,7 @@ from twodof.signals import PERIOD
 # A change of the initial state or of an offset that matters, for step sizes and for telling "no effect" from "small".
 _SCALES: Mapping[str, float] = {
     **dict.fromkeys(("theta_0", "x_0", "v_0", "u_0", "a_x_bias", "curve", "asymmetry"), 0.1),
-    **dict.fromkeys(("theta_trim", "theta_bias", "x_bias", "v_bias", "u_bias", "supply_bias"), 0.02),
+    **dict.fromkeys(("theta_trim", "theta_bias", "x_bias", "v_bias", "u_bias"), 0.02),
     **dict.fromkeys(("M_trim", "q_trim"), 0.01),
     **dict.fromkeys(("q_bias", "xi"), 0.05),
     **dict.fromkeys(("tau", "dead_time", "lag", "rotor_delay"), 0.004),
@@ -41,11 +41,12 @@ ROTOR_LAG = (0.012, 0.005)
 """Lag of the rotors [s], mean and standard deviation. Closed-loop flights of the real drone gave .0126 to .0147 s, each
 to .0005 s, and its calibration .0114 s. The deviation is ten times that of a flight: other motors have other lags."""
 
-RAIL_WALK: Mapping[str, tuple[float, float]] = MappingProxyType({"theta_0": (6.5e-4, 1.6), "v_0": (0.015, 3.0)})
+RAIL_WALK: Mapping[str, tuple[float, float]] = MappingProxyType({"theta_0": (6.5e-4, 1.6), "v_0": (0.004, 4.0)})
 """Pushes at the pitch [rad/sqrt(s)] and at the speed along the rail [m/s/sqrt(s)]: density, and factor of a deviation.
 
 White noise of a gyro of .01 rad/s, as in the real drone's level holds, moves its integral by 6.3e-4. Real carts meet
-forces of .07 m/s2 that last .2 s (docs/explanation/physics.md, section 9), which is .044; a virtual rail has none.
+forces of .07 m/s2 that last .2 s (docs/explanation/physics.md, section 9), which is .044. Virtual rails have none, so
+little is taken for likely where a short flight does not tell it.
 """
 
 # Wide bounds that keep a search inside what the model can mean; a fit can narrow or widen them.
@@ -147,7 +148,7 @@ def rail(thrust: bool = False, ring: int = 64) -> Structure:
 
     `tau` [s] is the age of the measured position at its stamp, `q_trim` the gyro's bias. With `thrust` the commands M
     and T are inputs too; the thrust, which a hard manoeuvre raises (see `Lift`), follows them after `rotor_delay` [s].
-    k_v is that of a thrust which the flight exceeds by the share `supply_bias`, as a full battery does.
+    `supply` is the battery's part in it: a tired one gives less than the thrust at which k_v is stated.
     """
     diagram = Diagram("rail_thrust" if thrust else "rail", "cart on its rail from the measured pitch rate")
     diagram.input("q", unit="rad/s")
@@ -160,8 +161,8 @@ def rail(thrust: bool = False, ring: int = 64) -> Structure:
         diagram.input("T")
         _offer(diagram, "curve", 0.3, "", "quadratic share of the thrust curve", (0.0, 1.0))
         _offer(diagram, "rotor_delay", 0.02, "s", "from command to thrust", (0.0, (ring - 2) * PERIOD))
-        _offer(diagram, "supply_bias", 0.0, "", "share of the thrust above that at which k_v is stated", (-0.9, math.inf))
-        diagram.add("lift", Lift(), params={"curve": "curve", "supply_bias": "supply_bias"}, M="M", T="T")
+        _offer(diagram, "supply", 1.0, "", "thrust over that at which k_v is stated, by the battery", (0.1, 10.0))
+        diagram.add("lift", Lift(), params={"curve": "curve", "supply": "supply"}, M="M", T="T")
         diagram.add("rotors", InputDelay(ring), params={"tau": "rotor_delay"}, u="lift")
     else:
         diagram.add("rotors", Constant(1.0))
