@@ -62,7 +62,7 @@ def test_from_a_flight_to_a_controller(lab: ServedLab, flights: dict[str, str]) 
     assert lab.call("POST", "models", {"job": fit[1]["id"], "name": "first"})[1]["pitch"]
     made = lab.done(lab.call("POST", "models/first/controller", {"name": "for the first"}))
     assert made["robustness"]["robust"], made["robustness"]["text"]
-    assert load_diagram(lab.folder / "diagrams" / made["file"]).name
+    assert load_diagram(lab.folder / "diagrams" / made["file"]).name == made["name"] == "for_the_first"
     again = lab.ended(lab.call("POST", "models/first/controller", {"name": "for the first"}))
     assert again["state"] == "failed", "a diagram that is there is kept"
 

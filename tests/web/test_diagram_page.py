@@ -272,6 +272,21 @@ def test_panels_fold_and_the_stock_controller_flies_beside(server: Served, open_
     expect(page.get_by_role("combobox", name="Search a block to add")).to_be_visible()
 
 
+def test_a_new_parameter_has_the_typed_value(server: Served, open_page: OpenPage) -> None:
+    """Also before the server has told the ports and parameters of the block with that value."""
+    page = drawn(open_page(link(server, "?starter=pid-attitude")))
+    sheet(page).press("a")
+    page.keyboard.type("gain")
+    page.keyboard.press("Enter")
+    expect(block(page, "gain")).to_be_visible()
+    page.route("**/diagrams/shapes", lambda route: None)  # it is never answered
+    page.get_by_label("k", exact=True).fill("5")
+    page.get_by_label("k", exact=True).press("Enter")
+    page.get_by_label("k bound to").select_option("a new parameter of the diagram")
+    sheet(page).press("Escape")
+    expect(page.get_by_label("gain_k", exact=True)).to_have_value("5.0")
+
+
 @pytest.mark.long
 def test_blocks_are_commented_grouped_and_given_parameters(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=notch-attitude")))

@@ -127,6 +127,19 @@ def test_compared_flights_show_their_steps(logs_server: Served, flights: Path, o
     expect(page.get_by_text("position x").first).to_be_visible()
 
 
+def test_a_flight_without_steps_is_compared_from_its_start(
+    logs_server: Served, flights: Path, open_page: OpenPage
+) -> None:
+    log = read_log(flights / "flights" / FIRST)
+    first = step_responses(log)[0].time
+    before = {name: one.slice(log.span[0], first - 0.1) for name, one in log.channels.items()}
+    write_log(FlightLog(before, {}), flights / "flights" / "still.mcap")
+    page = open_page(link(logs_server, f"/{FIRST}?with=still.mcap"))
+    expect(page.get_by_text("their starts instead: no set-point steps in this flight (still.mcap)")).to_be_visible()
+    expect(page.get_by_text("still.mcap: from").first).to_be_attached()
+    (flights / "flights" / "still.mcap").unlink()
+
+
 @pytest.mark.long
 def test_own_plots_cursors_and_folded_steps(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     log = read_log(flights / "flights" / FIRST)

@@ -119,6 +119,19 @@ def test_a_search_is_kept_in_the_link(lab: ServedLab, open_page: OpenPage) -> No
 
 
 @pytest.mark.long
+def test_the_last_preview_is_shown_while_the_next_is_computed(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab))
+    page.get_by_label("Model", exact=True).select_option("careful")
+    margins = page.get_by_role("row", name="attitude")
+    expect(margins).to_be_visible(timeout=LONG_MS)
+    page.route("**/tuning/1/preview", lambda route: None)  # it is never answered
+    page.get_by_role("link", name="Fly", exact=True).click()
+    page.get_by_role("link", name="Tune", exact=True).click()
+    expect(page.get_by_text("computing margins, step and verdict; below, the last ones")).to_be_visible()
+    expect(margins).to_be_visible()
+
+
+@pytest.mark.long
 def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab), expects=("409",))
     page.get_by_label("Model", exact=True).select_option("careful")

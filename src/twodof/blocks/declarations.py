@@ -31,6 +31,11 @@ def check_name(name: object, where: str) -> str:
     return name
 
 
+def name_of_file(file: str) -> str:
+    """Return the legal name nearest to that of a file; `nameForFile` of the page gives the same."""
+    return re.sub(r"^(?![A-Za-z])", "d", re.sub(r"\W+", "_", file, flags=re.ASCII))[:63]
+
+
 def check_path(name: object, where: str) -> str:
     """Return `name` if it is a legal name, or the path "att.rates.p" of a bus's field; else raise DiagramError."""
     parts = name.split(".") if isinstance(name, str) and len(name) < MAX_PATH else [name]

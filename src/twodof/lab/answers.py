@@ -167,7 +167,8 @@ def without_folders(text: str) -> str:
 
 def refusal_of(error: TwodofError) -> dict[str, str]:
     """Return the fields of the Refusal that tells a client of an error."""
-    return {key: without_folders(str(getattr(error, key))) for key in ("what", "where", "remedy")}
+    told = {key: without_folders(str(getattr(error, key))) for key in ("what", "where", "remedy")}
+    return told | {"remedy": told["remedy"].replace("connect again", "wait: the server connects again by itself")}
 
 
 def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from twodof.blocks.declarations import name_of_file
 from twodof.design.designed_controller import design_controller
 from twodof.design.pitch_family import PitchFamily
 from twodof.errors import (
@@ -247,6 +248,7 @@ def design(
         method=method,
         progress=lambda text, share: progress(share, text),
     )
+    made.diagram.name = name_of_file(path.stem)  # as where it is saved by hand: one name on the page and on board
     if made.robustness.robust:
         save_diagram(made.diagram, path, overwrite=overwrite)
     told = made.to_json()

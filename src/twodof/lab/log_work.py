@@ -23,7 +23,7 @@ from twodof.flightlog.log import FlightLog, decimate, log_of_rows
 from twodof.flightlog.provenance import versions
 from twodof.flightlog.recovery import recover
 from twodof.flightlog.ulog_file import write_ulg
-from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps
+from twodof.report.plots.comparison_view import Align, common_steps, comparison_view
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view, signal_names, signals_panel
 from twodof.report.step_responses import folded_steps, step_responses
 from twodof.signals import BY_MAT
@@ -211,15 +211,15 @@ def compare(
 ) -> dict[str, Any]:
     """Compare flights, named by `paths`: the view, and the steps and the time 0 [s] of each, given as `zero` or found.
 
-    Raises LogError as `comparison_view` does.
+    Flights without steps of one loop are aligned at their starts; `unaligned` says why. Raises LogError otherwise.
     """
     logs = {name: kept_log(path) for name, path in paths.items()}
     given = dict(zip(paths, zero, strict=False))
-    found = comparison_view(logs, Align(align), window, given)
-    stepped = flight_steps(logs) if align == Align.step else {}
+    stepped, why = common_steps(logs) if align == Align.step else ({}, "")
+    found = comparison_view(logs, Align.step if stepped else Align.start, window, given)
     zeros = {name: stepped[name][0].time if stepped else log.span[0] for name, log in logs.items()} | given
     rows = {name: [step.to_json() for step in one] for name, one in stepped.items()}
-    return {**_told(found, points), "steps": rows, "zero": zeros}
+    return {**_told(found, points), "steps": rows, "zero": zeros, "unaligned": why}
 
 
 def replay(path: str) -> dict[str, Any]:

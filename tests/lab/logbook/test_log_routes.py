@@ -119,6 +119,14 @@ def test_steps_and_a_comparison_are_the_librarys(server: Served) -> None:
     assert found["zero"] == dict.fromkeys(("a.mcap", "b.mat"), expected[0]["time"])
     labels = {curve["label"] for view in found["views"] for curve in view["curves"]}
     assert {"a.mcap", "b.mat"} <= labels
+    assert found["unaligned"] == ""
+    whole = attitude_steps()
+    before = {key: one.slice(whole.span[0], expected[0]["time"] - 0.1) for key, one in whole.channels.items()}
+    write_log(FlightLog(before, {}), server.folder / "flights" / "still.mat")
+    apart = server.ask("GET", "/api/logs/compare?name=a.mcap&name=still.mat").json
+    assert apart["unaligned"] == "no set-point steps in this flight (still.mat)"
+    assert {"a.mcap", "still.mat"} <= {curve["label"] for view in apart["views"] for curve in view["curves"]}
+    assert server.ask("DELETE", "/api/logs/still.mat").status == 200
     assert server.ask("GET", "/api/logs/compare?name=a.mcap&name=a.mcap").status == 422
     assert server.ask("GET", "/api/logs/compare?name=a.mcap&name=nowhere.mat").status == 404
     assert server.ask("GET", "/api/logs/compare?name=a.mcap").status == 422

@@ -119,6 +119,8 @@ export interface LoggedFold {
 export interface LogComparison extends LogView {
   zero: Record<string, number>;
   steps: Record<string, LoggedStep[]>;
+  /** Why the flights are aligned at their starts and not at steps, or "". */
+  unaligned: string;
 }
 
 /** Samples from `start` [s] at `rate` [Hz]; float32 columns in base 64. */

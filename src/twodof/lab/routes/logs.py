@@ -63,7 +63,7 @@ async def compare(
         list[FiniteFloat] | None, Query(description="Time 0 [s] of each log, in place of its first step.")
     ] = None,
 ) -> dict[str, Any]:
-    """Compare logs, with time 0 at the first step of a set-point or at the start, and their steps."""
+    """Compare logs, with time 0 at the first step of a set-point, or at the start where `unaligned` says why."""
     if len(set(name)) < len(name):
         raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each log once")
     paths = {one: str(lab.whole_log(one)) for one in name}

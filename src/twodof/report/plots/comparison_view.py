@@ -59,6 +59,14 @@ def flight_steps(logs: Mapping[str, FlightLog]) -> dict[str, tuple[FlownStep, ..
     return found
 
 
+def common_steps(logs: Mapping[str, FlightLog]) -> tuple[dict[str, tuple[FlownStep, ...]], str]:
+    """Return `flight_steps` and "", or no steps and the reason why the flights cannot be aligned at them."""
+    try:
+        return flight_steps(logs), ""
+    except LogError as reason:
+        return {}, f"{reason.what} ({reason.where})"
+
+
 def comparison_view(
     logs: Mapping[str, FlightLog],
     align: Align = Align.step,

@@ -49,11 +49,7 @@ export class MeasuredSteps {
       this.values = new Map(this.live.map(({ time }) => [time, this.values.get(time) ?? now]));
     }, LOOK_MS);
     void this.readLatest();
-    return () => {
-      stop();
-      events();
-      clearInterval(timer);
-    };
+    return () => (stop(), events(), clearInterval(timer));
   }
 
   scaled(goal: number): ScaledStep[] {

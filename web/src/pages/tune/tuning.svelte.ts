@@ -21,6 +21,8 @@ import { asRecord, differences, withChanges, type Edits } from "./draft";
 const WAIT_MS = 200;
 const AGAIN_MS = 2000;
 const TOO_SLOW = 504;
+/** Latest preview of each drone and model, shown where the page is opened again, until the next is there. */
+const LAST = new Map<string, Preview>();
 
 /** Parameters of one drone: edits, preview and sent changes. */
 export class Tuning {
@@ -84,6 +86,7 @@ export class Tuning {
     await this.refresh();
     await this.loadModels();
     this.loaded = true;
+    this.preview = LAST.get(`${this.drone} ${this.model}`);
     this.askSoon();
   }
 
@@ -207,6 +210,7 @@ export class Tuning {
     try {
       const found = await previewTuning(this.drone, changes, this.goal);
       this.preview = "bands" in found ? found : undefined;
+      if (this.preview) LAST.set(`${this.drone} ${this.model}`, this.preview);
       this.step = undefined;
       this.asked = question;
       this.previewed = JSON.stringify(changes);

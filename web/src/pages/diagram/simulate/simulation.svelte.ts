@@ -85,7 +85,7 @@ class Simulation {
     if (checked.fine && checked.template?.fits) return true;
     return this.refuse(
       checked.fine
-        ? "it does not have the ports of a controller of the drone, see Problems"
+        ? "it does not fit a controller of the drone, see Problems"
         : "it does not compile yet, see Problems",
     );
   }
