@@ -18,6 +18,7 @@ PACKAGES = {
     "gcc": "gcc libc6-dev",
     "node": "nodejs",
     "npm": "npm",
+    "octave-cli": "octave",
     "qemu-system-arm": "qemu-system-arm",
 }
 """The Debian packages that bring each program; tools/toolchains.sh installs them."""

@@ -13,6 +13,7 @@ tools=(
     "node nodejs"
     "npm npm"
     "cppcheck cppcheck"
+    "octave-cli octave" # the judge of the MATLAB subset
     "chromium chromium" # tests/web open the page in a real browser: no wheel brings one, and its maker's is a download
 )
 

@@ -1,0 +1,452 @@
+"""A subset of MATLAB that computes constants: matrices, structures, indexing, arithmetic, logic, common functions.
+
+`evaluate(text, workspace)` gives the value of an expression, `run(code, workspace)` carries out a script. No statement
+opens a file, calls a program or shows anything, and each ends within bounds: `MOST_STEPS` operations, arrays of at most
+`MOST_ELEMENTS`. A statement of a script that is not computed is skipped and said by its line, and what it would have
+assigned is unknown afterwards.
+
+Values are numpy arrays of two dimensions (float64, float32, whole numbers, bool), `str` for text, `dict` for a
+structure and `list` for a cell array.
+"""
+
+import math
+import re
+from collections.abc import Mapping, MutableMapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from twodof.errors import DiagramError
+from twodof.slx.matlab_values import (
+    FUNCTIONS,
+    MOST_ELEMENTS,
+    OPERATORS,
+    Array,
+    NotComputed,
+    Value,
+    as_array,
+    bounded,
+    indexed,
+    joined,
+    number,
+    numeric,
+    scalar,
+    stored,
+)
+
+MOST_STEPS = 200_000
+DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
+
+_TOKEN = re.compile(
+    r"""(?P<space>(?:[ \t]|\.\.\.[^\n]*\n)+)|(?P<comment>[%\#][^\n]*)
+      |(?P<number>(?:\d+(?:\.(?![*/\\^'])\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?)
+      |(?P<name>[A-Za-z]\w*)|(?P<operator>\.\^|\.\*|\./|\.\\|\.'|==|~=|!=|<=|>=|&&|\|\||[-+*/\\^'<>=&|~!:;,()\[\]{}.@])
+      |(?P<text>"(?:[^"\n]|"")*")|(?P<line>\r?\n)""",
+    re.VERBOSE,
+)
+_QUOTED = re.compile(r"'((?:[^'\n]|'')*)'")
+_BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
+_BINARY = (("||",), ("&&",), ("|",), ("&",), ("<", "<=", ">", ">=", "==", "~=", "!="), (":",), ("+", "-"))
+_PRODUCTS = ("*", "/", "\\", ".*", "./", ".\\")
+_SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold"}
+"""Statements that change no value: skipped without a word."""
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A statement that was not carried out: its line, counted from 1, and why."""
+
+    line: int
+    why: str
+
+
+@dataclass(frozen=True)
+class _Token:
+    kind: str
+    text: str
+    line: int
+    spaced: bool
+    """Whether white space stands before it."""
+
+
+def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression") -> Value:
+    """Return the value of an expression. Raises DiagramError, with the name that is missing or what is not computed."""
+    try:
+        parser = _Parser(_tokens(text), _Machine(dict(workspace)))
+        value = parser.expression()
+        parser.skip(";", "line")
+        if parser.here.kind != "end":
+            raise NotComputed(f"'{parser.here.text}' is not expected")
+    except NotComputed as reason:
+        raise DiagramError(f"{text.strip()[:80]}: {reason}", where, "give a constant or a --workspace file") from None
+    return value
+
+
+def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
+    """Carry out a script in a workspace, which it changes; return the statements that were not computed."""
+    skipped: list[Skipped] = []
+    machine = _Machine(workspace)
+    try:
+        tokens = _tokens(_BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), code))
+    except NotComputed as reason:
+        return [Skipped(1, str(reason))]
+    parser = _Parser(tokens, machine)
+    while parser.here.kind != "end":
+        if parser.skip(";", ",", "line"):
+            continue
+        start, line = parser.at, parser.here.line
+        try:
+            parser.statement()
+            if parser.here.kind != "end" and not parser.skip(";", ",", "line"):
+                raise NotComputed(f"'{parser.here.text}' is not expected")
+        except NotComputed as reason:
+            parser.at = _next_statement(tokens, start)
+            for name in _assigned(tokens[start : parser.at]):
+                workspace.pop(name, None)
+            if tokens[start].text not in _SILENT:
+                skipped.append(Skipped(line, str(reason)))
+    return skipped
+
+
+def _tokens(text: str) -> list[_Token]:
+    found: list[_Token] = []
+    at, line, spaced = 0, 1, False
+    while at < len(text):
+        before = found[-1] if found else None
+        operand = before is not None and (
+            before.kind in ("name", "number", "text") or before.text in (")", "]", "}", "'", ".'")
+        )
+        quoted = _QUOTED.match(text, at)
+        if quoted is not None and not (operand and not spaced):
+            found.append(_Token("text", quoted[1].replace("''", "'"), line, spaced))
+            at, spaced = quoted.end(), False
+            continue
+        match = _TOKEN.match(text, at)
+        if match is None:
+            raise NotComputed(f"line {line}: the character {text[at]!r} is not read")
+        kind, said = match.lastgroup or "", match[0]
+        at = match.end()
+        if kind in ("space", "comment"):
+            spaced = spaced or kind == "space"
+            line += said.count("\n")
+            continue
+        if kind == "text":
+            said = said[1:-1].replace('""', '"')
+        found.append(_Token(kind, said, line, spaced))
+        line += kind == "line"
+        spaced = False
+    return [*found, _Token("end", "the end", line, False)]
+
+
+def _next_statement(tokens: list[_Token], at: int) -> int:
+    """Return the place after the statement at `at`: an `if` or a loop with all that belongs to it."""
+    depth = blocks = 0
+    while tokens[at].kind != "end":
+        token = tokens[at]
+        depth += (token.text in "([{" and token.kind == "operator") - (token.text in ")]}" and token.kind == "operator")
+        if token.kind == "name" and depth == 0:
+            blocks += token.text in ("if", "for", "while", "switch", "try", "function", "parfor")
+            blocks -= token.text == "end"
+        if blocks <= 0 and (
+            token.kind == "line" or (depth <= 0 and token.text in (";", ",") and token.kind == "operator")
+        ):
+            return at + 1
+        at += 1
+    return at
+
+
+def _assigned(tokens: list[_Token]) -> set[str]:
+    names = set()
+    for this, following in pairwise(tokens):
+        if this.kind == "name" and following.text in ("=", ",", "]", ".", "("):
+            names.add(this.text)
+    return names if any(t.text == "=" and t.kind == "operator" for t in tokens) else set()
+
+
+@dataclass
+class _Machine:
+    names: MutableMapping[str, Value]
+    steps: int = 0
+    ends: list[tuple[Array, int, int]] = field(default_factory=list)
+    """What `end` stands for: the array that is indexed, which index, and of how many."""
+
+    def count(self) -> None:
+        self.steps += 1
+        if self.steps > MOST_STEPS:
+            raise NotComputed(f"takes more than {MOST_STEPS} operations")
+
+
+class _Parser:
+    """A parser that computes as it reads: precedence as MATLAB has it."""
+
+    def __init__(self, tokens: list[_Token], machine: _Machine) -> None:
+        self.tokens, self.machine = tokens, machine
+        self.at = self.depth = 0
+        self.matrix = False
+
+    @property
+    def here(self) -> _Token:
+        return self.tokens[self.at]
+
+    def skip(self, *texts: str) -> bool:
+        """Pass one of these operators, or a line's end; return whether one stood here."""
+        token = self.here
+        if (token.kind == "operator" and token.text in texts) or (token.kind == "line" and "line" in texts):
+            self.at += 1
+            return True
+        return False
+
+    def need(self, text: str) -> None:
+        if not self.skip(text):
+            raise NotComputed(f"'{text}' is missing before '{self.here.text}'")
+
+    def statement(self) -> None:
+        """Carry out an assignment, or an expression without effect."""
+        self.machine.count()
+        token = self.here
+        if token.kind == "name" and token.text in _SILENT:
+            self.at = _next_statement(self.tokens, self.at) - 1
+            return
+        if token.kind == "name" and token.text in ("if", "for", "while", "switch", "function", "try", "global"):
+            raise NotComputed(f"'{token.text}' is not computed")
+        start = self.at
+        path = self.target()
+        if path is None or self.here.text != "=" or self.here.kind != "operator":
+            self.at = start
+            value = self.expression()
+            self.machine.names["ans"] = value
+            return
+        self.at += 1
+        value = self.expression()
+        name, steps = path
+        self.machine.names[name] = stored(self.machine.names.get(name), steps, value)
+
+    def target(self) -> tuple[str, list[Any]] | None:
+        """Return name and steps of what is assigned, `s.a(2)`; None for anything else."""
+        if self.here.kind != "name":
+            return None
+        name, steps = self.here.text, list[Any]()
+        self.at += 1
+        value: Value = self.machine.names.get(name)
+        while True:
+            if self.here.text == "." and self.tokens[self.at + 1].kind == "name":
+                steps.append(self.tokens[self.at + 1].text)
+                value = value.get(steps[-1]) if isinstance(value, dict) else None
+                self.at += 2
+            elif self.here.text == "(" and not self.here.spaced:
+                try:
+                    steps.append(tuple(self.arguments(value if isinstance(value, np.ndarray) else np.zeros((0, 0)))))
+                except NotComputed:
+                    return None
+                value = None
+            else:
+                return name, steps
+
+    def expression(self) -> Value:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise NotComputed("is nested too deep")
+        value = self.binary(0)
+        self.depth -= 1
+        return value
+
+    def separated(self) -> bool:
+        """Whether the sign here begins the next element of a matrix, as in `[1 -2]`."""
+        following = self.tokens[self.at + 1]
+        return self.matrix and self.here.spaced and not following.spaced and self.here.text in ("+", "-")
+
+    def binary(self, level: int) -> Value:
+        if level == len(_BINARY):
+            return self.product()
+        if _BINARY[level] == (":",):
+            return self.range(level)
+        left = self.binary(level + 1)
+        while self.here.kind == "operator" and self.here.text in _BINARY[level] and not self.separated():
+            operator = self.here.text
+            self.at += 1
+            left = self.apply(operator, left, self.binary(level + 1))
+        return left
+
+    def range(self, level: int) -> Value:
+        first = self.binary(level + 1)
+        if self.here.text != ":" or self.here.kind != "operator" or self.tokens[self.at + 1].text in (")", ","):
+            return first
+        self.at += 1
+        last, step = self.binary(level + 1), np.ones((1, 1))
+        if self.skip(":"):
+            step, last = last, self.binary(level + 1)
+        if not all(as_array(number(one)).size for one in (first, step, last)):
+            return np.zeros((1, 0))
+        begin, increment, end = (float(as_array(number(one)).flat[0]) for one in (first, step, last))
+        count = 0 if increment == 0 else math.floor((end - begin) / increment * (1 + 1e-15) + 1e-10) + 1
+        if count > MOST_ELEMENTS or not math.isfinite(begin + end):
+            raise NotComputed("a range has too many elements")
+        return begin + increment * np.arange(max(count, 0), dtype=float)[None, :]
+
+    def product(self) -> Value:
+        left = self.unary()
+        while self.here.kind == "operator" and self.here.text in _PRODUCTS:
+            operator = self.here.text
+            self.at += 1
+            left = self.apply(operator, left, self.unary())
+        return left
+
+    def unary(self) -> Value:
+        signs: list[str] = []
+        while self.here.kind == "operator" and self.here.text in ("+", "-", "~", "!"):
+            signs.append(self.here.text)
+            self.at += 1
+        value = self.power()
+        for sign in reversed(signs):
+            array = as_array(value)
+            value = array if sign == "+" else -numeric(array) if sign == "-" else ~array.astype(bool)
+        return value
+
+    def power(self) -> Value:
+        value = self.postfix()
+        while self.here.kind == "operator" and self.here.text in ("^", ".^", "'", ".'"):
+            operator = self.here.text
+            if operator in ("'", ".'"):
+                if self.here.spaced and self.matrix:
+                    break
+                self.at += 1
+                value = as_array(value).T
+                continue
+            self.at += 1
+            signs = 0
+            while self.here.text in ("+", "-") and self.here.kind == "operator":
+                signs += self.here.text == "-"
+                self.at += 1
+            exponent = self.postfix()
+            value = self.apply(operator, value, -numeric(as_array(exponent)) if signs % 2 else exponent)
+        return value
+
+    def postfix(self) -> Value:
+        token = self.here
+        self.machine.count()
+        if (
+            token.kind == "name"
+            and token.text not in self.machine.names
+            and not (token.text == "end" and self.machine.ends)
+        ):
+            return self.function()
+        value = self.primary()
+        while True:
+            here = self.here
+            if here.text == "(" and here.kind == "operator" and not (self.matrix and here.spaced):
+                value = indexed(value, self.arguments(value))
+            elif here.text == "{" and here.kind == "operator" and not (self.matrix and here.spaced):
+                self.at += 1
+                index = int(scalar(self.expression()))
+                self.need("}")
+                if not isinstance(value, list) or not 1 <= index <= len(value):
+                    raise NotComputed(f"no cell {index}")
+                value = value[index - 1]
+            elif here.text == "." and here.kind == "operator" and self.tokens[self.at + 1].kind == "name":
+                name = self.tokens[self.at + 1].text
+                self.at += 2
+                if not isinstance(value, dict) or name not in value:
+                    raise NotComputed(f"there is no field {name}")
+                value = value[name]
+            else:
+                return value
+
+    def primary(self) -> Value:
+        token = self.here
+        self.at += 1
+        if token.kind == "number":
+            return np.array([[float(token.text.lower().replace("d", "e"))]])
+        if token.kind == "text":
+            return token.text
+        if token.kind == "name":
+            if token.text == "end" and self.machine.ends:
+                array, index, count = self.machine.ends[-1]
+                size = array.size if count == 1 else array.shape[index] if index < 2 else 1
+                return np.array([[float(size)]])
+            return self.machine.names[token.text]
+        if token.text == "(":
+            matrix, self.matrix = self.matrix, False
+            value = self.expression()
+            self.need(")")
+            self.matrix = matrix
+            return value
+        if token.text in ("[", "{"):
+            return self.rows(token.text)
+        raise NotComputed(f"'{token.text}' is not computed" if token.kind != "end" else "ends too early")
+
+    def rows(self, bracket: str) -> Value:
+        close = "]" if bracket == "[" else "}"
+        matrix, self.matrix = self.matrix, True
+        rows: list[list[Value]] = [[]]
+        while not self.skip(close):
+            if self.here.kind == "end":
+                raise NotComputed(f"'{close}' is missing")
+            if self.skip(";", "line"):
+                rows.append([])
+            elif not self.skip(","):
+                rows[-1].append(self.expression())
+        self.matrix = matrix
+        if bracket == "{":
+            return [value for row in rows for value in row]
+        return joined([row for row in rows if row])
+
+    def arguments(self, indexed: Value = None) -> list[Value]:
+        """Return the arguments in brackets; ":" alone for a colon."""
+        self.need("(")
+        matrix, self.matrix = self.matrix, False
+        count = self._count_arguments()
+        found: list[Value] = []
+        while not self.skip(")"):
+            if isinstance(indexed, np.ndarray | str):
+                self.machine.ends.append((as_array(indexed), len(found), count))
+            if self.here.text == ":" and self.tokens[self.at + 1].text in (",", ")"):
+                self.at += 1
+                found.append(":")
+            else:
+                found.append(self.expression())
+            if isinstance(indexed, np.ndarray | str):
+                self.machine.ends.pop()
+            if self.here.text != ")":
+                self.need(",")
+        self.matrix = matrix
+        return found
+
+    def _count_arguments(self) -> int:
+        depth, count, at = 0, 1, self.at
+        while depth >= 0 and self.tokens[at].kind != "end":
+            text = self.tokens[at].text if self.tokens[at].kind == "operator" else ""
+            depth += (text in ("(", "[", "{")) - (text in (")", "]", "}"))
+            count += depth == 0 and text == ","
+            at += 1
+        return count
+
+    def function(self) -> Value:
+        """Call a function, or return a constant."""
+        name = self.here.text
+        self.at += 1
+        while self.here.text == "." and not self.here.spaced and self.tokens[self.at + 1].kind == "name":
+            name += f".{self.tokens[self.at + 1].text}"
+            self.at += 2
+        bracket = self.here.text == "(" and self.here.kind == "operator" and not (self.matrix and self.here.spaced)
+        arguments = self.arguments() if bracket else []
+        if name not in FUNCTIONS:
+            raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
+        try:
+            with np.errstate(all="ignore"):
+                value = FUNCTIONS[name](*arguments)
+        except (TypeError, ValueError, IndexError, np.linalg.LinAlgError, OverflowError, MemoryError) as reason:
+            raise NotComputed(f"{name}: {reason}") from None
+        return bounded(value)
+
+    def apply(self, operator: str, left: Value, right: Value) -> Value:
+        self.machine.count()
+        if isinstance(left, dict | list) or isinstance(right, dict | list):
+            raise NotComputed(f"'{operator}' of a structure or a cell")
+        a, b = as_array(left), as_array(right)
+        try:
+            with np.errstate(all="ignore"):
+                return bounded(OPERATORS[operator](a, b))
+        except (ValueError, TypeError, np.linalg.LinAlgError) as reason:
+            raise NotComputed(f"'{operator}': {reason}") from None

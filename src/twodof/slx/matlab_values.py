@@ -1,0 +1,342 @@
+"""Values of the MATLAB subset: arrays, texts, structures, cells; operators and functions on them."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Value = Any
+"""An array, a text, a structure or a cell array."""
+MOST_ELEMENTS = 1_000_000
+_KINDS = {
+    "double": np.float64, "single": np.float32, "int8": np.int8, "int16": np.int16, "int32": np.int32,
+    "int64": np.int64, "uint8": np.uint8, "uint16": np.uint16, "uint32": np.uint32, "uint64": np.uint64,
+    "logical": np.bool_, "boolean": np.bool_,
+}  # fmt: skip
+
+
+class NotComputed(Exception):
+    """What the subset does not compute, or what is wrong in an expression."""
+
+
+def number(value: Value) -> Value:
+    """Return a value for a block: what a `Simulink.Parameter` holds in place of itself."""
+    return value["Value"] if isinstance(value, dict) and "Value" in value else value
+
+
+def as_array(value: Value) -> Array:
+    """Return a value as an array: a text as its codes. Raises NotComputed for a structure or a cell."""
+    if isinstance(value, np.ndarray):
+        return value
+    if isinstance(value, str):
+        return np.array([[float(ord(letter)) for letter in value]])
+    raise NotComputed("an array is expected")
+
+
+def numeric(array: Array) -> Array:
+    """Return an array with 1 and 0 for logical values."""
+    return array.astype(float) if array.dtype == np.bool_ else array
+
+
+def scalar(value: Value) -> float:
+    """Return the one number of a value. Raises NotComputed for any other."""
+    array = as_array(number(value))
+    if array.size != 1:
+        raise NotComputed("one number is expected")
+    return float(array.flat[0])
+
+
+def bounded(value: Value) -> Value:
+    """Return a result as a value. Raises NotComputed for one that is too large or complex."""
+    if isinstance(value, np.ndarray) and value.size > MOST_ELEMENTS:
+        raise NotComputed(f"an array has more than {MOST_ELEMENTS} elements")
+    if isinstance(value, np.ndarray) and np.iscomplexobj(value):
+        raise NotComputed("complex numbers are not computed")
+    if isinstance(value, bool | int | float | np.generic):
+        return np.array([[value]]) if isinstance(value, bool | np.generic) else np.array([[float(value)]])
+    return value
+
+
+def _matched(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return two operands in the type of the result: whole numbers and single win over double."""
+    a, b = numeric(a), numeric(b)
+    for kind in (np.integer, np.float32):
+        for one in (a, b):
+            if np.issubdtype(one.dtype, kind):
+                return a.astype(one.dtype), b.astype(one.dtype)
+    return a, b
+
+
+def _computed(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+    def operate(a: Array, b: Array) -> Array:
+        kinds = [one.dtype for one in (a, b) if np.issubdtype(one.dtype, np.integer)]
+        if kinds:  # MATLAB computes in double, rounds and saturates
+            limits = np.iinfo(kinds[0])
+            exact = function(a.astype(float), b.astype(float))
+            return np.asarray(np.clip(_round(exact), limits.min, limits.max)).astype(kinds[0])
+        return function(*_matched(a, b))
+
+    return operate
+
+
+def _matrix_product(a: Array, b: Array) -> Array:
+    return a * b if a.size == 1 or b.size == 1 else a @ b
+
+
+def _left_division(a: Array, b: Array) -> Array:
+    if a.size == 1:
+        return b / a
+    return np.linalg.solve(a, b) if a.shape[0] == a.shape[1] else np.linalg.lstsq(a, b, rcond=None)[0]
+
+
+def _right_division(a: Array, b: Array) -> Array:
+    return a / b if b.size == 1 else _left_division(b.T, a.T).T
+
+
+def _matrix_power(a: Array, b: Array) -> Array:
+    if a.size == 1 and b.size == 1:
+        return _power(a, b)
+    if b.size == 1 and float(b.flat[0]).is_integer() and abs(float(b.flat[0])) < 1000:
+        return np.linalg.matrix_power(a, int(b.flat[0]))
+    raise ValueError("this power of a matrix is not computed")
+
+
+def joined(rows: list[list[Value]]) -> Value:
+    """Return the matrix of these rows; of texts their text."""
+    if rows and all(isinstance(value, str) for row in rows for value in row):
+        return "".join(value for row in rows for value in row)
+    if any(isinstance(value, dict | list) for row in rows for value in row):
+        raise NotComputed("an array of structures or cells is not computed")
+    try:
+        made = [np.hstack([as_array(v) for v in row if as_array(v).size] or [np.zeros((0, 0))]) for row in rows]
+        return bounded(np.vstack([row for row in made if row.size] or [np.zeros((0, 0))]))
+    except ValueError:
+        raise NotComputed("the rows of a matrix differ in length") from None
+
+
+def _places(index: Value, size: int) -> Array:
+    if isinstance(index, str) and index == ":":
+        return np.arange(size)
+    array = as_array(index)
+    if array.dtype == np.bool_:
+        return np.flatnonzero(array.flatten(order="F"))
+    places = array.astype(float).flatten(order="F") - 1
+    if (places != np.floor(places)).any() or (places < 0).any() or (places >= MOST_ELEMENTS).any():
+        raise NotComputed("an index is not a whole number from 1 on")
+    return places.astype(int)
+
+
+def indexed(value: Value, index: list[Value]) -> Value:
+    """Return the elements of a value at one index or two; ":" stands for all."""
+    if isinstance(value, dict) and all(isinstance(i, np.ndarray) and i.size == 1 and i.flat[0] == 1 for i in index):
+        return value  # s(1) of one structure
+    if isinstance(value, dict | list) or len(index) > 2:
+        raise NotComputed("an array of structures or cells, or of three dimensions, is not computed")
+    array = as_array(value)
+    try:
+        if not index:
+            return value
+        if len(index) == 1:
+            places = _places(index[0], array.size)
+            found = array.flatten(order="F")[places]
+            tall = isinstance(index[0], str) or (array.shape[1] == 1 and array.shape[0] != 1)
+            if isinstance(index[0], np.ndarray) and min(index[0].shape) > 1 and index[0].dtype != np.bool_:
+                return found.reshape(index[0].shape, order="F")
+            return found[:, None] if tall else found[None, :]
+        return array[np.ix_(_places(index[0], array.shape[0]), _places(index[1], array.shape[1]))]
+    except IndexError:
+        raise NotComputed(f"an index is beyond an array of {array.shape[0]} by {array.shape[1]}") from None
+
+
+def stored(old: Value, steps: list[Any], value: Value) -> Value:
+    """Return `old` with `value` stored at a path of fields and indices."""
+    if not steps:
+        return value
+    step, rest = steps[0], steps[1:]
+    if isinstance(step, str):
+        made = dict(old) if isinstance(old, dict) else {}
+        made[step] = stored(made.get(step), rest, value)
+        return made
+    if rest or isinstance(old, dict | list | str):
+        raise NotComputed("an array of structures or cells is not computed")
+    array, new = (np.zeros((0, 0)) if old is None else old), as_array(value)
+    index = step if len(step) == 2 else (np.ones((1, 1)), *step) if array.shape[0] <= 1 else (*step, np.ones((1, 1)))
+    rows, columns = (_places(i, max(array.shape[n], new.shape[n])) for n, i in enumerate(index))
+    shape = [max(array.shape[n], int(p.max(initial=-1)) + 1) for n, p in enumerate((rows, columns))]
+    if math.prod(shape) > MOST_ELEMENTS:
+        raise NotComputed(f"an array has more than {MOST_ELEMENTS} elements")
+    grown = np.zeros(shape, array.dtype)
+    grown[: array.shape[0], : array.shape[1]] = array
+    try:
+        grown[np.ix_(rows, columns)] = new
+    except ValueError:
+        raise NotComputed("what is assigned has another size") from None
+    return grown
+
+
+# --- functions
+
+
+def _each(function: Callable[..., Any]) -> Callable[..., Array]:
+    return lambda *values: np.asarray(function(*(numeric(as_array(number(v))) for v in values)))
+
+
+def _filled(value: float) -> Callable[..., Array]:
+    def make(*sizes: Value) -> Array:
+        kind = next((_KINDS[s] for s in sizes if isinstance(s, str) and s in _KINDS), np.float64)
+        numbers = [int(n) for s in sizes if not isinstance(s, str) for n in as_array(s).flatten()]
+        rows, columns = (numbers * 2)[:2] if len(numbers) < 2 else numbers[:2] if numbers else (1, 1)
+        if max(rows, 0) * max(columns, 0) > MOST_ELEMENTS or len(numbers) > 2:
+            raise ValueError("too many elements or dimensions")
+        return np.full((max(rows, 0), max(columns, 0)), value, dtype=kind)
+
+    return lambda *sizes: make(*sizes) if sizes else np.array([[value]])
+
+
+def _reduced(function: Callable[..., Any]) -> Callable[..., Array]:
+    def reduce(value: Value, dimension: Value = None) -> Array:
+        array = numeric(as_array(value))
+        axis = int(scalar(dimension)) - 1 if dimension is not None else 1 if array.shape[0] == 1 else 0
+        return np.asarray(function(array, axis=axis, keepdims=True))
+
+    return reduce
+
+
+def _extreme(two: Callable[..., Any], one: Callable[..., Any]) -> Callable[..., Array]:
+    return lambda *v: _each(two)(*v) if len(v) == 2 else _reduced(one)(*v) if as_array(v[0]).size else as_array(v[0])
+
+
+def _eye(*sizes: Value) -> Array:
+    shape = _filled(0.0)(*sizes).shape
+    return np.eye(*shape)
+
+
+def _diag(value: Value) -> Array:
+    array = as_array(value)
+    return np.diag(array.flatten()) if 1 in array.shape else np.diag(array)[:, None]
+
+
+def _size(value: Value, dimension: Value = None) -> Array:
+    shape = np.array([as_array(value).shape], dtype=float)
+    return shape if dimension is None else shape[:, [int(scalar(dimension)) - 1]]
+
+
+def _struct(*pairs: Value) -> dict[str, Value]:
+    if len(pairs) % 2 or not all(isinstance(name, str) for name in pairs[::2]):
+        raise ValueError("takes names and values")
+    return dict(zip(pairs[::2], pairs[1::2], strict=True))
+
+
+def _linspace(first: Value, last: Value, count: Value = None) -> Array:
+    steps = 100 if count is None else int(scalar(count))
+    if not 0 < steps <= MOST_ELEMENTS:
+        raise ValueError("too many elements")
+    return np.linspace(scalar(first), scalar(last), steps)[None, :]
+
+
+def _modulo(a: Array, b: Array) -> Array:
+    return np.where(b == 0, a, np.where(_whole(a, b), 0.0, np.mod(a, b)))
+
+
+def _remainder(a: Array, b: Array) -> Array:
+    return np.where(_whole(a, b), 0.0, np.fmod(a, b))
+
+
+def _whole(a: Array, b: Array) -> Array:
+    """Return where a / b is a whole number but for rounding: MATLAB's mod and rem are exactly 0 there."""
+    ratio = a / b
+    return np.asarray(np.abs(ratio - np.round(ratio)) < np.finfo(float).eps * np.abs(ratio))
+
+
+def _real(function: Callable[..., Any], low: float, high: float = math.inf) -> Callable[..., Array]:
+    """Return a function that is real between two bounds and refused beyond."""
+
+    def compute(value: Value) -> Array:
+        array = numeric(as_array(number(value)))
+        if (array < low).any() or (array > high).any():
+            raise ValueError("complex numbers are not computed")
+        return np.asarray(function(array))
+
+    return compute
+
+
+def _power(a: Array, b: Array) -> Array:
+    if ((a < 0) & (b != np.floor(b))).any():
+        raise ValueError("complex numbers are not computed")
+    return np.asarray(np.power(a, b))
+
+
+def _round(array: Array) -> Array:
+    return np.floor(np.abs(array) + 0.5) * np.sign(array)
+
+
+def _cast(kind: Any) -> Callable[[Value], Array]:
+    def cast(value: Value) -> Array:
+        array = as_array(number(value))
+        if np.issubdtype(kind, np.integer):
+            limits = np.iinfo(kind)
+            return np.clip(_round(array.astype(float)), float(limits.min), float(limits.max)).astype(kind)
+        return array.astype(kind)
+
+    return cast
+
+
+def _constant(value: float) -> Callable[..., Array]:
+    return _filled(value)
+
+
+OPERATORS: dict[str, Callable[[Array, Array], Array]] = {
+    "+": _computed(np.add), "-": _computed(np.subtract), ".*": _computed(np.multiply), "./": _computed(np.divide),
+    ".\\": _computed(lambda a, b: b / a), "*": _computed(_matrix_product), "/": _computed(_right_division),
+    "\\": _computed(_left_division), ".^": _computed(_power),
+    "^": _computed(_matrix_power), "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal,
+    "==": np.equal, "~=": np.not_equal, "!=": np.not_equal, "&": np.logical_and, "|": np.logical_or,
+    "&&": lambda a, b: np.array([[bool(a.all()) and bool(b.all())]]),
+    "||": lambda a, b: np.array([[bool(a.all()) or bool(b.all())]]),
+}  # fmt: skip
+
+
+FUNCTIONS: dict[str, Callable[..., Value]] = {
+    "pi": _constant(math.pi), "inf": _constant(math.inf), "Inf": _constant(math.inf), "nan": _constant(math.nan),
+    "NaN": _constant(math.nan), "eps": _constant(float(np.finfo(float).eps)), "zeros": _filled(0.0),
+    "ones": _filled(1.0), "true": lambda *s: _filled(1.0)(*s).astype(bool), "eye": _eye,
+    "false": lambda *s: _filled(0.0)(*s).astype(bool), "realmax": _constant(float(np.finfo(float).max)),
+    "realmin": _constant(float(np.finfo(float).tiny)), "diag": _diag, "size": _size, "linspace": _linspace,
+    **{name: _each(getattr(np, name)) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor", "ceil",
+       "sign", "hypot")},
+    "log2": _real(np.log2, 0.0), "log10": _real(np.log10, 0.0),
+    "abs": _each(np.abs), "sqrt": _real(np.sqrt, 0.0), "log": _real(np.log, 0.0), "asin": _real(np.arcsin, -1.0, 1.0),
+    "acos": _real(np.arccos, -1.0, 1.0), "atan": _each(np.arctan), "atan2": _each(np.arctan2), "fix": _each(np.trunc),
+    "round": _each(_round), "mod": _each(_modulo), "rem": _each(_remainder), "power": _each(_power),
+    "times": _each(np.multiply), "deg2rad": _each(np.deg2rad), "rad2deg": _each(np.rad2deg),
+    "max": _extreme(np.maximum, np.max), "min": _extreme(np.minimum, np.min), "sum": _reduced(np.sum),
+    "prod": _reduced(np.prod), "mean": _reduced(np.mean), "any": _reduced(np.any), "all": _reduced(np.all),
+    "cumsum": lambda v: np.cumsum(as_array(v), axis=1 if as_array(v).shape[0] == 1 else 0),
+    "numel": lambda v: float(len(v) if isinstance(v, list) else as_array(v).size),
+    "length": lambda v: float(len(v) if isinstance(v, list) else max(as_array(v).shape) if as_array(v).size else 0),
+    "isempty": lambda v: bool(not (len(v) if isinstance(v, list | str | dict) else as_array(v).size)),
+    "norm": lambda v: float(np.linalg.norm(as_array(v).flatten() if 1 in as_array(v).shape else as_array(v), 2)),
+    "inv": lambda v: np.linalg.inv(as_array(v)), "pinv": lambda v: np.linalg.pinv(as_array(v)),
+    "det": lambda v: float(np.linalg.det(as_array(v))), "transpose": lambda v: as_array(v).T,
+    "trace": lambda v: float(np.trace(as_array(v))), "kron": lambda a, b: np.kron(as_array(a), as_array(b)),
+    "cross": lambda a, b: np.cross(as_array(a).flatten(), as_array(b).flatten()).reshape(as_array(a).shape),
+    "dot": lambda a, b: float(np.dot(as_array(a).flatten(), as_array(b).flatten())),
+    "reshape": lambda v, *s: as_array(v).reshape([int(n) for one in s for n in as_array(one).flatten()], order="F"),
+    "repmat": lambda v, *s: _bounded_tile(v, [int(n) for one in s for n in as_array(one).flatten()]),
+    "struct": _struct, "Simulink.Parameter": lambda value=None: {"Value": np.zeros((0, 0)) if value is None else value},
+    "conv": lambda a, b: np.convolve(as_array(a).flatten(), as_array(b).flatten())[None, :],
+    "poly": lambda v: np.poly(as_array(v).flatten())[None, :], "fliplr": lambda v: as_array(v)[:, ::-1],
+    "polyval": lambda p, x: np.polyval(as_array(p).flatten(), as_array(x)), "flipud": lambda v: as_array(v)[::-1],
+    "isfield": lambda s, name: bool(isinstance(s, dict) and name in s),
+    **{name: _cast(kind) for name, kind in _KINDS.items()},
+}  # fmt: skip
+
+
+def _bounded_tile(value: Value, times: list[int]) -> Array:
+    array, repeats = as_array(value), (times * 2)[:2] if len(times) == 1 else times
+    if array.size * max(math.prod(repeats), 0) > MOST_ELEMENTS or len(repeats) > 2:
+        raise ValueError("too many elements or dimensions")
+    return np.tile(array, [max(n, 0) for n in repeats])

@@ -1,0 +1,165 @@
+"""The MATLAB subset: beside Octave on random expressions and scripts, and within bounds on hostile ones."""
+
+import math
+import random
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests import toolchains
+from twodof.errors import DiagramError
+from twodof.slx.matlab import evaluate, run
+from twodof.slx.matlab_values import number
+
+pytestmark = pytest.mark.slow
+
+SCRIPT = """
+A = [1 -2; 3, 4]';  % comment
+g.Kp = 2*pi; g.v(3) = 5 ...
+ + 1;
+x = A(end,:) * [1;2]
+z = eye(2)*1e-3 + diag([1 2]);
+n = numel(0:0.1:1); m = -2^2; b = 2^-1; c=[1 - 2, 3 -1]; d=~(1==2) && true; e = [g.v(1:end-1) 1]';
+i = int8(200)+int8(1); j=single(1)/3; k = int32(7)/int32(2); l = uint8(3) - 5; o = 7*int16(-2.5);
+%{
+x = 5;
+%}
+r = [1,2
+3,4]; t=r(:)'; u = r(2); p = r(:,1); q = r(end); s = mod(-7, 3) + rem(-7, 3);
+B(2,3) = 7; B(1,:) = [1 2 3]; v = B'; w = sum(B) ; y = max(B(:)) + min([4 2]); h = [1:3] .^ 2;
+a1 = 1:0; a2 = numel(a1); a3 = [A; 5 6]; a4 = A \\ [1; 2]; a5 = [1 2] / A; a6 = A^2; a7 = 2.^[1 2 3];
+a8 = !true | 0; a9 = 3 ~= 4; b1 = round(-2.5) + fix(-2.7) + floor(-2.2); b2 = linspace(0, 1, 5); b3 = -[1 2](1);
+b4 = [1 2]'; b5 = reshape(1:6, 2, 3); b6 = repmat([1 2], 2, 2); b7 = norm([3 4]); b8 = atan2(1, -1);
+b9 = kron([1 2], [1;1]);
+"""
+
+
+def octave(code: str, shown: list[str], folder: Path) -> list[tuple[list[int], list[float]] | None]:
+    """Run `code` in Octave, and return size and elements of the expressions `shown`; None where it refuses one."""
+    lines = [
+        f"try, V = {line}; printf('%d ', size(V)); printf(':'); printf(' %.17g', double(V)); printf('\\n');"
+        " catch, printf('refused\\n'); end"
+        for line in shown
+    ]
+    script = folder / "script.m"
+    script.write_text("\n".join(["1; warning('off', 'all');", code, *lines]), encoding="utf-8")
+    toolchains.need("octave-cli")
+    command = ["octave-cli", "--no-init-file", "--no-gui", "--quiet", str(script)]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False).stdout.splitlines()
+    found: list[tuple[list[int], list[float]] | None] = []
+    for line in answer[len(answer) - len(shown) :]:
+        size, _, values = line.partition(":")
+        wanted = [int(n) for n in size.split()] if values or ":" in line else []
+        found.append(None if line == "refused" else (wanted, [float(n) for n in values.split()]))
+    return found
+
+
+def assert_equal(mine: object, theirs: tuple[list[int], list[float]], what: str) -> None:
+    array = np.asarray(mine)
+    assert list(array.shape) == theirs[0], what
+    values = array.astype(float).flatten(order="F")
+    # Powers and elementary functions are those of two libraries: one unit in the last place each, twice over.
+    assert np.allclose(values, theirs[1], rtol=1e-14, atol=1e-300, equal_nan=True), what
+
+
+def expression(draw: random.Random, depth: int) -> str:
+    """A random expression of scalars and small matrices; some are wrong in their sizes."""
+    kind = draw.randrange(9) if depth else 0
+    inner = [expression(draw, depth - 1) for _ in range(3)] if depth else []
+    if kind <= 1:
+        return draw.choice(
+            ["2", ".5", "3e-1", "x", "A", "v", "A(2,:)", "v(end)", "pi", "s.k", "[1 -2]", "v'", "(-3)", "true"]
+        )
+    if kind == 2:
+        operator = draw.choice(["+", " - ", ".*", "*", " ./ ", "/", ".^", "<=", "==", "&", "|", "~="])
+        return f"({inner[0]}{operator}{inner[1]})"
+    if kind == 3:
+        return f"({draw.choice('-~+')}{inner[0]})"
+    if kind == 4:
+        return f"[{inner[0]}{draw.choice([' ', ', ', '; '])}{inner[1]}]"
+    if kind == 5:
+        function = draw.choice(["abs", "sin", "exp", "sum", "max", "numel", "floor", "sign", "isempty", "cumsum"])
+        return f"{function}({inner[0]})"
+    if kind == 6:
+        return f"({inner[0]})'"
+    if kind == 7:
+        return f"({inner[0]}:{draw.choice(['', '.5:', '2:'])}{inner[1]})"
+    return f"{draw.choice(['max', 'min', 'mod', 'atan2', 'rem'])}({inner[0]}, {inner[1]})"
+
+
+def test_random_expressions_have_octaves_values(tmp_path: Path) -> None:
+    draw = random.Random(2)
+    workspace: dict[str, object] = {}
+    given = "x = 1.5; A = [1 2; -.5 3]; v = [2 0 -1]; s.k = .25;"
+    assert run(given, workspace) == []
+    lines = [expression(draw, draw.randint(1, 4)) for _ in range(1500)]
+    compared = refused = 0
+    for line, theirs in zip(lines, octave(given, lines, tmp_path), strict=True):
+        try:
+            mine = evaluate(line, workspace)
+        except DiagramError as error:
+            refused += theirs is not None and "complex" not in error.what
+            continue
+        if theirs is not None:  # Octave refuses functions and ranges of logical values, which MATLAB does not
+            assert_equal(mine, theirs, line)
+            compared += 1
+    assert compared > 1000
+    assert refused < 15
+
+
+def test_a_script_has_octaves_values(tmp_path: Path) -> None:
+    workspace: dict[str, object] = {}
+    assert run(SCRIPT, workspace) == []
+    names = sorted(name for name, value in workspace.items() if isinstance(value, np.ndarray) and name != "ans")
+    assert len(names) > 40
+    for name, theirs in zip(names, octave(SCRIPT, names, tmp_path), strict=True):
+        assert theirs is not None, name
+        assert_equal(workspace[name], theirs, name)
+
+
+def test_what_is_not_computed_is_said_by_line_and_leaves_no_old_value() -> None:
+    workspace: dict[str, object] = {"h": np.ones((1, 1))}
+    skipped = run(
+        "a = 1;\nsystem('rm -rf /');\nh = load('x.mat');\nfor k = 1:3\n  a = k;\nend\nclear all\nb = a + 1;", workspace
+    )
+    assert [(one.line, one.why) for one in skipped] == [
+        (2, "system is not computed"),
+        (3, "load is not computed"),
+        (4, "'for' is not computed"),
+        (8, "a has no value"),  # the loop may have changed it
+    ]
+    assert set(workspace) == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("zeros(1e6, 1e6)", "too many elements"),
+        ("1:1e12", "too many elements"),
+        ("ones(1000, 1) * ones(1, 10000)", "more than 1000000"),
+        ("(" * 5000 + "1" + ")" * 5000, "nested too deep"),
+        ("[" * 5000 + "1" + "]" * 5000, "nested too deep"),
+        ("+".join(["1"] * 300_000), "more than 200000 operations"),
+        ("system('reboot')", "system is not computed"),
+        ("eval('1')", "eval is not computed"),
+        ("fopen('/etc/passwd')", "fopen is not computed"),
+        ("__import__('os')", "is not read"),
+        ("sqrt(-1)", "complex numbers"),
+        ("kron(ones(1000), ones(1000))", "kron|more than"),
+        ("repmat(1, 1e5, 1e5)", "too many elements"),
+    ],
+)
+def test_hostile_text_ends_within_bounds(text: str, said: str) -> None:
+    begin = time.process_time()
+    with pytest.raises(DiagramError, match=said):
+        evaluate(text, {})
+    assert time.process_time() - begin < 5.0
+
+
+def test_a_parameter_object_counts_as_its_value() -> None:
+    workspace: dict[str, object] = {}
+    assert run("P = Simulink.Parameter(.5); P.DataType = 'single';", workspace) == []
+    assert math.isclose(float(np.asarray(number(workspace["P"])).item()), 0.5)
