@@ -119,6 +119,24 @@ def test_a_prior_is_weighed_against_the_data(folder: Path, capfd: pytest.Capture
     assert list(both) == ["time_constant", "gain"]
 
 
+def test_models_are_named_and_compared(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    columns = ["--input", "volt", "--output", "tacho", "--time", "stamp"]
+    pair = [str(folder / "m.csv"), str(folder / "m.parquet"), "--merge"]
+    compared = ["--compare", "arx:1,1,1", "--compare", "process:P1", "--validate", str(folder / "m.mat")]
+    found = answer([*pair, "--model", "oe:1,1,1", *columns, *compared], capfd)
+    pole = np.exp(-DT / TIME_CONSTANT)
+    for name, truth in (("f1", -pole), ("b1", GAIN * (1.0 - pole))):
+        assert abs(found["estimates"][name]["value"] - truth) < 4.0 * found["estimates"][name]["sigma"]
+    assert [one["record"] for one in found["identification"]] == ["m.csv", "m.parquet"]
+    rows = found["compared"]
+    assert {row["model"] for row in rows} == {"oe:1,1,1", "arx:1,1,1", "process:P1"}
+    assert found["linear"]["A"] == [[pytest.approx(pole, abs=0.01)]]
+    # Twice the time from step to step: the pole is squared.
+    slow = answer([str(folder / "m.csv"), "--model", "oe:1,1,1", *columns, "--detrend", "--resample", "0.02"], capfd)
+    assert slow["linear"]["dt"] == pytest.approx(2.0 * DT)
+    assert slow["estimates"]["f1"]["value"] == pytest.approx(-(pole**2), abs=0.01)
+
+
 def test_a_ready_made_structure_fits_columns_too(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = [str(folder / "m.csv"), "--model", "velocity", "--input", "theta=volt", "--output", "v=back"]
     found = answer([*arguments, "--time", "stamp", "--estimate", "p_v", "--estimate", "k_v"], capfd)
@@ -148,6 +166,10 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
     [
         (["--input", "u=volt"], "which structure"),
         (["--structure", "model.py", *COLUMNS, "--prior", "gain=20"], "is not NAME=MEAN,SIGMA"),
+        (["--model", "arx:1,1,1", "--input", "volt"], "which column is the output"),
+        (["--model", "arx:1,1,1", "--input", "volt", "--output", "tacho", "--merge"], "there is one log"),
+        (["--model", "arix:1,1,1", *COLUMNS], "no structure called"),
+        (["--detrend"], "which structure"),
         (["--structure", "model.py", *COLUMNS, "--prior", "gian=20,1"], "no unknown 'gian'"),
         (["--structure", "model.py", *COLUMNS, "--prior", "gain=20,0"], "give (mean, standard deviation)"),
         (["--structure", "model.py:nothing", *COLUMNS], "has no 'nothing'"),

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import ResidualRows, robust_covariance
-from twodof.identify.validate import compare, cross_correlation, fit_percent, rmse, vaf, whiteness
+from twodof.identify.validate import comparison, cross_correlation, fit_percent, rmse, vaf, whiteness
 
 
 def test_measures_in_closed_form() -> None:
@@ -63,13 +63,13 @@ def test_a_comparison_carries_figures_and_tests() -> None:
     u = np.sign(rng.standard_normal(60)).repeat(10)
     y = np.cumsum(u) / 10.0
     measured = y + 0.1 * rng.standard_normal(600)
-    one = compare("r", "q", np.arange(600.0), measured, y, {"u": u, "held": np.ones(600)})
+    one = comparison("r", "q", np.arange(600.0), measured, y, {"u": u, "held": np.ones(600)})
     assert one.rmse == pytest.approx(0.1, rel=0.1)
     assert one.whiteness is not None
     assert one.whiteness.passed
     assert set(one.inputs) == {"u"}
     assert one.to_json()["residual_white"] is True
-    short = compare("r", "q", np.arange(50.0), measured[:50], y[:50], {"u": u[:50]})
+    short = comparison("r", "q", np.arange(50.0), measured[:50], y[:50], {"u": u[:50]})
     assert short.whiteness is None
 
 

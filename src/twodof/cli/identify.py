@@ -10,22 +10,35 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from twodof.cli.options import Force, Json, argument, option
+from twodof.cli.options import Force, Json, argument, flag, option
 from twodof.cli.output import exit_unless, print_json, say_line, table_console
-from twodof.cli.own_structure import own_record, read_structure, with_reference
-from twodof.errors import LogError, ParameterError, listed
+from twodof.cli.own_structure import NamedColumns, own_record, read_structure, with_reference
+from twodof.errors import DiagramError, LogError, ParameterError, listed
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, kind_of
-from twodof.identify.greybox import fit
-from twodof.identify.ready_made import AUTO, FLOWN_AS, NOT_BY_HAND, by_hand, by_output_error, machine_of, structure_for
+from twodof.identify.greybox import fit, named_model
+from twodof.identify.model_comparison import compare as compare_models
+from twodof.identify.model_response import linear_form
+from twodof.identify.ready_made import (
+    AUTO,
+    FLOWN_AS,
+    NOT_BY_HAND,
+    STRUCTURES,
+    by_hand,
+    by_output_error,
+    machine_of,
+    structure_for,
+)
 from twodof.identify.record import HOLDS, Record
+from twodof.identify.record import merge as combine
 from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch
 from twodof.identify.simple_velocity import SimpleVelocity
+from twodof.models.polynomial import FORMS, PolynomialModel, is_named
 from twodof.models.structure import Structure
 from twodof.report.plots.flight_view import SUFFIXES, check_place
 
@@ -33,8 +46,6 @@ _KNOWN = (*KINDS, *FLOWN_AS)
 
 
 FitMethod = Literal["grey-box", "simple"]
-Model = Literal["auto", "pitch-rate", "pitch-rate-lag", "pitch-on-cart", "free-response", "velocity", "rail"]
-"""Ready-made structures for the grey-box method; `velocity` is the paper's, between on-board estimates."""
 
 
 def identify(
@@ -52,8 +63,12 @@ def identify(
     ] = None,
     method: Annotated[FitMethod, option("Output error, or by hand as the paper does.")] = "grey-box",
     model: Annotated[
-        Model, option("Structure for the grey-box method; auto: the paper's, for an impulse with friction.")
-    ] = "auto",
+        str,
+        option(
+            f"Structure: {', '.join((AUTO, *STRUCTURES))} (auto: the paper's, for an impulse with friction); or one "
+            f"of the columns in --input and --output: {', '.join(FORMS)} (numbers of several inputs: 2/1).",
+        ),
+    ] = AUTO,
     window: Annotated[
         tuple[float, float] | None, option("Stretch of the log, in seconds; default: found.", "T0 T1")
     ] = None,
@@ -87,6 +102,13 @@ def identify(
     hold: Annotated[
         list[str] | None, option("How that input behaves between samples; repeatable.", f"NAME={'|'.join(HOLDS)}")
     ] = None,
+    detrend: Annotated[bool, flag("Take the mean of each column away.", "--detrend")] = False,
+    resample: Annotated[float | None, option("Longer time from step to step, behind a filter.", "SECONDS")] = None,
+    merge: Annotated[bool, flag("Several logs: one model for all, not one for each.", "--merge")] = False,
+    compare: Annotated[
+        list[str] | None,
+        option("A further model of the columns, to be judged beside on --validate, or else on LOG.", "MODEL"),
+    ] = None,
     plot: Annotated[
         Path | None, option(f"Draw data, model, residuals, Bode and uncertainty ({', '.join(SUFFIXES)}).", "FILE")
     ] = None,
@@ -110,6 +132,7 @@ def identify(
     knows nothing of what differs from flight to flight: give several logs and believe their spread.
 
     Your own: --structure model.py:motor --input u=voltage --output y=speed --time t (or --period 0.02).
+    Without a structure: --model bj:2,1,1,2,1 --input u=voltage --output y=speed --time t --compare arx:2,2,1.
 
     Exit status 1: the data do not allow the estimate, or the search did not converge.
     """
@@ -118,15 +141,15 @@ def identify(
     named = " ".join(map(str, files))[:200]
     _refuse(
         (plot and simple, "by hand there is nothing to draw", "--plot", "take --method grey-box, or leave it out"),
-        (plot and several, "a plot shows the fit of one log", "--plot", "give one log, or leave it out"),
+        (plot and several and not merge, "a plot shows the fit of one log", "--plot", "give one log, or leave it out"),
         (reference and not plot, "it is of use to a plot only", "--reference", "add --plot FILE, or leave it out"),
         (twice, "a log is named twice: its spread with itself is 0", named, "name each once"),
         (several and simple, "by hand one log is read", named, "give one, and further doublets with --validate"),
         (
-            several and validate,
+            several and validate and not merge,
             "several logs are compared with each other",
             "--validate",
-            "give one log, or leave it out",
+            "give one log, leave it out, or add --merge",
         ),
     )
     if out is not None:
@@ -136,28 +159,44 @@ def identify(
     numbers = {name: one for name, (one,) in _numbers(value or [], "NAME=NUMBER").items()}
     before = {name: (mean, width) for name, (mean, width) in _numbers(prior or [], "NAME=MEAN,SIGMA").items()}
     clock = {name: column for name, column in (("time", time), ("period", period)) if column is not None}
-    if structure is not None or input or output or clock or hold:
+    prepared = _given(detrend=detrend, resample=resample is not None, merge=merge, compare=compare)
+    if structure is not None or input or output or clock or hold or prepared or is_named(model):
         both = structure is not None and model != AUTO
         idle = _given(experiment=experiment is not None, method=simple, impulse=impulse is not None, model=both)
-        structures = "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate"
-        unknown, columns = structure is None and model == AUTO, "--input, --output, --time, --period, --hold"
+        structures = "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate or arx:2,2,1"
+        unknown, these = structure is None and model == AUTO, "--input, --output, --time, --period, --hold"
         _refuse(
             (idle, "columns that you name are fitted to a structure, not read as an experiment", idle, "leave it out"),
-            (unknown, "which structure is to be fitted to these columns?", columns, structures),
+            (unknown, "which structure is to be fitted to these columns?", prepared or these, structures),
+            (compare and several and not merge, "several logs give several models", "--compare", "add --merge"),
+            (merge and not several, "there is one log", "--merge", "give several, or leave it out"),
         )
-        shape = read_structure(structure, estimate or ()) if structure is not None else structure_for("", model)
-        _check_unknowns(shape, estimate or (), numbers, before)
-        records, others = (
-            [own_record(path, shape, input or (), output or (), clock, window, hold or ()) for path in paths]
-            for paths in (files, validate or ())
-        )
-        records = _distinctly_named(records, files)
+        columns = _columns(structure, model, estimate or (), input or (), output or ())
+        if isinstance(columns, Structure):
+            _check_unknowns(columns, estimate or (), numbers, before)
+
+        def read(path: Path) -> Record:
+            record = own_record(path, columns, input or (), output or (), clock, window, hold or ())
+            record = record.detrend() if detrend else record
+            return record if resample is None else record.resample(resample)
+
+        records, others = _distinctly_named([read(path) for path in files], files), [*map(read, validate or ())]
+        shape = columns if isinstance(columns, Structure) else named_model(model, records[0])
         wanted = estimate and [*estimate, *(name for name in before if name not in estimate)]
         options: dict[str, Any] = {"estimate": wanted, "values": numbers, "disturbance": disturbance, "prior": before}
         own: Estimate | Repeated = (
-            repeat(shape, records, **options) if several else fit(shape, records[0], validation=others, **options)
+            repeat(shape, records, **options)
+            if several and not merge
+            else fit(shape, combine(*records), validation=others, **options)
         )
-        _say(own, {"method": method}, out, json, own.converged)
+        about = {"method": method, **_linear(own, records[0])}
+        if compare and isinstance(own, Estimate):
+            rest = {name: fit(name, records) for name in compare}
+            table = compare_models({model if is_named(model) else own.structure: own, **rest}, others or records)
+            about["compared"] = table.to_json()
+        _say(own, about, out, json, own.converged)
+        if "compared" in about and not json:
+            table_console().print(table.table())
         if plot is not None and isinstance(own, Estimate):
             if reference is not None:
                 records = [with_reference(records[0], files[0], clock, reference)]
@@ -238,7 +277,7 @@ def _given(**options: object) -> str:
 
 def _say(
     found: SimplePitch | SimpleVelocity | Estimate | Repeated,
-    about: dict[str, str],
+    about: dict[str, Any],
     out: Path | None,
     json: bool,
     converged: bool,
@@ -256,6 +295,25 @@ def _say(
         say_line("note: the search did not converge; try other first guesses with --value")
 
 
+def _columns(
+    structure: str | None, model: str, estimate: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
+) -> Structure | NamedColumns:
+    """Return the structure to fit to columns, or for a model that is named by its orders the columns alone."""
+    if structure is not None:
+        return read_structure(structure, estimate)
+    return NamedColumns.of(model, inputs, outputs) if is_named(model) else structure_for("", model)
+
+
+def _linear(found: Estimate | Repeated, record: Record) -> dict[str, Any]:
+    """Return the model's matrices for commands that close a loop around it; none where it has no linear form."""
+    if not isinstance(found, Estimate):
+        return {}
+    try:
+        return {"linear": linear_form(found, record.dt).to_json()}
+    except DiagramError:
+        return {}
+
+
 def _distinctly_named(records: Sequence[Record], files: Sequence[Path]) -> list[Record]:
     """Return the records with distinct names: run-1/doublet.mat and run-2/doublet.mat would share one."""
     if len({record.name for record in records}) == len(records):
@@ -265,7 +323,7 @@ def _distinctly_named(records: Sequence[Record], files: Sequence[Path]) -> list[
 
 def _draw(
     found: Estimate,
-    structure: Structure,
+    structure: Structure | PolynomialModel,
     records: Sequence[Record],
     path: Path,
     force: bool,

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple, Self
 
 from twodof.blocks.diagram import Diagram
 from twodof.errors import LogError, ParameterError, listed, nearest, shown
@@ -15,6 +16,23 @@ from twodof.identify.record import Record
 from twodof.models.structure import Structure
 
 _LOCAL = ("_0", "_trim", "_bias")
+
+
+class NamedColumns(NamedTuple):
+    """Inputs and outputs of a model that is named by kind and orders, as `--input` and `--output` name them."""
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    @classmethod
+    def of(cls, model: str, inputs: Sequence[str], outputs: Sequence[str]) -> Self:
+        """Return the names before "=". Raises ParameterError if there is no input or no output."""
+        ins, outs = (tuple(one.partition("=")[0] for one in given) for given in (inputs, outputs))
+        if not ins or not outs:
+            option = "--output" if ins else "--input"
+            raise ParameterError(f"which column is the {option[2:]} of {shown(model)}?", option, f"add {option} COLUMN")
+        return cls(model, ins, outs)
 
 
 def read_structure(source: str, estimate: Sequence[str] = ()) -> Structure:
@@ -35,7 +53,7 @@ def read_structure(source: str, estimate: Sequence[str] = ()) -> Structure:
 
 def own_record(
     path: Path,
-    structure: Structure,
+    structure: Structure | NamedColumns,
     inputs: Sequence[str],
     outputs: Sequence[str],
     clock: Mapping[str, str],
@@ -97,7 +115,9 @@ def _span(log: FlightLog, columns: Sequence[str]) -> tuple[float, float]:
     return max(float(time[0]) for time in times), min(float(time[-1]) for time in times)
 
 
-def _pairs(given: Sequence[str], known: Sequence[str], option: str, structure: Structure) -> dict[str, str]:
+def _pairs(
+    given: Sequence[str], known: Sequence[str], option: str, structure: Structure | NamedColumns
+) -> dict[str, str]:
     found: dict[str, str] = {}
     for one in given:
         name, sign, column = one.partition("=")

@@ -4,7 +4,7 @@ from twodof.identify.disturbance import DisturbanceModel, Gust
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, ExperimentKind, cut, only
 from twodof.identify.frequency_response import FrequencyResponse, frequency_response
-from twodof.identify.greybox import fit
+from twodof.identify.greybox import fit, named_model
 from twodof.identify.information import (
     PITCH_LIMITS,
     RAIL_LIMITS,
@@ -17,9 +17,10 @@ from twodof.identify.information import (
     predict,
     three_two_one_ones,
 )
+from twodof.identify.model_comparison import ComparedModel, ModelTable, compare
 from twodof.identify.multi_start import LocalMinimum, MultiStart, fit_from_several
 from twodof.identify.ranking import Ranking, rank, select
-from twodof.identify.record import Record, Samples
+from twodof.identify.record import Record, Samples, merge
 from twodof.identify.repeated import Repeated, Spread, repeat
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
@@ -29,7 +30,7 @@ from twodof.identify.transfer_fit import TransferFactor, TransferFit, fit_transf
 from twodof.identify.validate import (
     Comparison,
     Correlation,
-    compare,
+    comparison,
     cross_correlation,
     fit_percent,
     rmse,
@@ -41,6 +42,7 @@ __all__ = [
     "KINDS",
     "PITCH_LIMITS",
     "RAIL_LIMITS",
+    "ComparedModel",
     "Comparison",
     "Correlation",
     "Design",
@@ -52,6 +54,7 @@ __all__ = [
     "Information",
     "Limits",
     "LocalMinimum",
+    "ModelTable",
     "MultiStart",
     "Ranking",
     "Record",
@@ -65,6 +68,7 @@ __all__ = [
     "TransferFit",
     "best",
     "compare",
+    "comparison",
     "cross_correlation",
     "cut",
     "doublets",
@@ -76,7 +80,9 @@ __all__ = [
     "identify_pitch",
     "identify_velocity",
     "initial_state",
+    "merge",
     "multisines",
+    "named_model",
     "only",
     "predict",
     "predict_ahead",

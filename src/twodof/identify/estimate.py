@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.validate import Comparison, deviations
+from twodof.models.polynomial import PolynomialModel
+from twodof.models.structure import Structure
 
 Array = NDArray[np.float64]
 
@@ -46,6 +48,7 @@ class Estimate:
     the estimated unknowns before the fit. It is part of the estimate and of its doubt. `gaps` says
     where inputs lost so many samples in a row that it is not known what was applied (`Record.gaps`). `offsets` names
     inputs and outputs far from 0 that the model does not account for, `suggestions` what else would explain the data.
+    `model` is what was fitted.
     """
 
     structure: str
@@ -71,6 +74,7 @@ class Estimate:
     gaps: tuple[str, ...] = ()
     offsets: tuple[str, ...] = ()
     suggestions: tuple[str, ...] = ()
+    model: Structure | PolynomialModel | None = None
 
     def __getitem__(self, label: str) -> float:
         """Return the value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
@@ -176,6 +180,11 @@ class Estimate:
             return (
                 f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the {pushes}, "
                 "which says little in closed loop"
+            )
+        if one.ahead is not None and isinstance(self.model, PolynomialModel):
+            return (
+                f"{place}: FIT {one.fit_percent:.2f} % simulated, {one.ahead:.2f} % one sample ahead, "
+                f"VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
             )
         if self.disturbance.predicts and self.disturbance.kind != "white":
             # Of a flight that was not fitted the noise model has not been asked.

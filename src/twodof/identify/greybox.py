@@ -30,9 +30,12 @@ from twodof.identify.disturbance.innovation import (
 from twodof.identify.disturbance.noise_search import Disturbed, astray, check_disturbance, passes, search
 from twodof.identify.estimate import Estimate
 from twodof.identify.least_squares import LeastSquaresMinimum, minimise
+from twodof.identify.polynomial_fit import fit_polynomial
 from twodof.identify.problem import Problem
 from twodof.identify.record import HOLDS, Record, check_record
-from twodof.identify.validate import Comparison, compare, rmse
+from twodof.identify.subspace import subspace_named
+from twodof.identify.validate import Comparison, comparison, rmse
+from twodof.models.polynomial import PolynomialModel, model_named
 from twodof.models.structure import Structure, check_structure
 
 Array = NDArray[np.float64]
@@ -59,7 +62,7 @@ _UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
 # A first guess too far out may overflow: what follows is an error of ours.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit(
-    structure: Structure,
+    structure: Structure | PolynomialModel | str,
     records: Record | Iterable[Record],
     *,
     estimate: Collection[str] | None = None,
@@ -75,6 +78,9 @@ def fit(
 ) -> Estimate:
     """Fit `structure` to `records`.
 
+    `structure`: a Structure, a polynomial model (`twodof.models.arx`, `armax`, `oe`, `bj`), or the name of a model as
+    "arx:2,2,1" (see `named_model`), between the records' inputs and outputs. Polynomial models take records and
+    `validation` only.
     `estimate`: the unknowns to find, or the one (default: the structure's choice); all others keep their values.
     `values`: first guesses and fixed values by unknown, or by "unknown[record]" for one record. `bounds`: (lower,
     upper) by unknown. `separate`: unknowns that get one value for each record although they are not local. `noise`:
@@ -101,8 +107,16 @@ def fit(
     channels. It is also raised for a model that is not finite at the first guess, and for unknowns that the data cannot
     tell (apart), naming them.
     """
-    check_structure(structure)
     several, checked = _several(records), _several(validation)
+    if isinstance(structure, str):
+        structure = named_model(structure, several[0])
+    if isinstance(structure, PolynomialModel):
+        asked = {"estimate": estimate, "values": values, "bounds": bounds, "separate": separate, "noise": noise}
+        if idle := [name for name, one in {**asked, "band": band, "prior": prior}.items() if one]:
+            raise structure.error(f"a polynomial model has no use for `{idle[0]}`", "leave it out")
+        return fit_polynomial(structure, several, checked)
+    check_structure(structure)
+    structure = _guessed(structure, several[0], values or {})
     wanted = structure.estimate if estimate is None else _names(estimate)
     where = f"structure '{structure.name}'"
     if not wanted or len(set(wanted)) < len(wanted):
@@ -193,6 +207,7 @@ def fit(
         prior=problem.known,
         gaps=tuple(_gaps(structure, several)),
         offsets=tuple(_offsets(problem, wanted, poor)),
+        model=structure,
         suggestions=(*_in_degrees(problem), *(() if explained else _suggestions(problem, posed, minimum.x, poor))),
     )
 
@@ -400,6 +415,26 @@ def _suggestions(
         )
 
 
+def named_model(name: str, record: Record) -> Structure | PolynomialModel:
+    """Return the model `name`, such as "bj:2,1,1,2,1", between all inputs and outputs of `record`.
+
+    The forms are those of `twodof.models.model_named`, and "subspace", whose order is found, or "subspace:4". Raises
+    IdentificationError for other names.
+    """
+    if name.partition(":")[0] == "subspace":
+        return subspace_named(name, record)
+    return model_named(name, tuple(record.inputs), tuple(record.outputs))
+
+
+def _guessed(structure: Structure, record: Record, values: Mapping[str, float]) -> Structure:
+    """Return the structure with the first guesses that it finds itself, if it does, for unknowns without `values`."""
+    if structure.begin is None:
+        return structure
+    time, y, u = record.signals(structure.inputs[0], structure.outputs[0])
+    found = structure.begin(u, np.interp(record.time, time, y), record.dt)
+    return found.with_guess(**{name: value for name, value in values.items() if name in found.unknowns})
+
+
 def _gaps(structure: Structure, records: Sequence[Record]) -> Iterator[str]:
     """Where inputs of the structure were held although nobody knows what they did."""
     for record in records:
@@ -485,7 +520,7 @@ def _comparisons(
             unpredicted = rmse(problem.measured(k), simulated[block.record][block.output])
         step = np.floor(record.outputs[block.output].position).astype(np.int64)
         compared.append(
-            compare(
+            comparison(
                 record.name,
                 block.output,
                 record.output_time(block.output),

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
+from twodof.errors import IdentificationError
 from twodof.identify.estimate import Estimate
 from twodof.identify.validate import deviations
+from twodof.models.polynomial import PolynomialModel
 from twodof.models.structure import Structure
 
 Array = NDArray[np.float64]
@@ -40,7 +43,13 @@ class ModelResponse:
 
 
 def model_response(
-    structure: Structure, estimate: Estimate, input: str, output: str, omega: ArrayLike, dt: float, record: str = ""
+    structure: Structure | PolynomialModel,
+    estimate: Estimate,
+    input: str,
+    output: str,
+    omega: ArrayLike,
+    dt: float,
+    record: str = "",
 ) -> ModelResponse:
     """Return the response from `input` to `output` of `structure` with the values of `estimate`, linearised at rest.
 
@@ -56,10 +65,17 @@ def model_response(
         )
     w = np.asarray(omega, dtype=np.float64)
     chosen = _chosen(estimate, record)
-    base = {name: value for name, value in estimate.fixed.items() if name in structure.unknowns}
-    values = {**base, **{name: float(estimate.values[i]) for name, i in chosen.items()}}
+    values = {name: float(estimate.values[i]) for name, i in chosen.items()}
+    if isinstance(structure, Structure):
+        scales = {name: one.scale for name, one in structure.unknowns.items()}
+        values = {name: value for name, value in estimate.fixed.items() if name in scales} | values
+    else:
+        scales = dict.fromkeys(values, 1.0)
 
     def response(point: dict[str, float]) -> Complex:
+        if isinstance(structure, PolynomialModel):
+            found = structure.polynomials(np.array([point[name] for name in structure.labels]))
+            return found.response(structure.inputs.index(input), w, dt)
         model = linearize(structure.diagram, dt / structure.substeps, at=point, inputs=[input], outputs=[output])
         return np.asarray(model.response(w)[:, 0, 0], dtype=np.complex128)
 
@@ -70,7 +86,7 @@ def model_response(
     for name, i in chosen.items():
         if estimate.labels[i] in estimate.local or not math.isfinite(estimate.quoted[i, i]):
             continue
-        step = _STEP * max(abs(values[name]), structure.unknowns[name].scale)
+        step = _STEP * max(abs(values[name]), scales[name])
         ahead = response({**values, name: values[name] + step})
         slopes.append(np.log(ahead / nominal) / step)
         rows.append(i)
@@ -78,6 +94,24 @@ def model_response(
     spread = estimate.quoted[np.ix_(rows, rows)]
     gain, phase = (np.einsum("ik,ij,jk->k", part, spread, part) for part in (slope.real, slope.imag))
     return ModelResponse(input, output, w, nominal, np.sqrt(np.maximum(gain, 0.0)), np.sqrt(np.maximum(phase, 0.0)))
+
+
+def linear_form(estimate: Estimate, dt: float) -> LinearModel:
+    """Return a fitted model of steps `dt` [s] as matrices, at rest; of unknowns of several records the first count.
+
+    Raises DiagramError for a structure that cannot be linearised at rest, IdentificationError for an estimate without
+    its model.
+    """
+    model, found = estimate.model, {name: float(estimate.values[i]) for name, i in _chosen(estimate, "").items()}
+    if isinstance(model, PolynomialModel):
+        a, b, c, d = model.polynomials(estimate.values).matrices()
+        states = tuple(f"x{i + 1}" for i in range(len(a)))
+        return LinearModel(a, b, c, d, dt, states, model.inputs, model.outputs, name=model.kind)
+    if model is None:
+        raise IdentificationError("the estimate does not know its model", "linear_form", "give the result of `fit`")
+    still = {name: 0.0 for name in found if name in estimate.local}
+    at = {name: one for name, one in {**estimate.fixed, **found, **still}.items() if name in model.unknowns}
+    return linearize(model.diagram, dt / model.substeps, at=at)
 
 
 def _chosen(estimate: Estimate, record: str) -> dict[str, int]:

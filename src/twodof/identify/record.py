@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import Self
 
 import numpy as np
@@ -29,6 +30,9 @@ _JITTERY = 0.05
 _JITTER, _FEW_LOST, _FOLLOWED = 0.3, 0.05, 0.1
 """Jitter [steps] from which on stamps are counted one by one; share of lost samples that may pass for another step; and
 how far the clock follows each stamp."""
+
+_RATIO, _SAME_STEP = 1000, 1e-3
+"""Largest denominator of two sample times in `resample`; share by which the steps of merged records may differ."""
 
 SHORTEST_PIECE = 10
 """Steps of a piece between two gaps that is kept."""
@@ -266,6 +270,44 @@ class Record:
         }
         return replace(self, name=name or self.name, start=begin, inputs=inputs, outputs=outputs, gaps=within)
 
+    def detrend(self, linear: bool = False) -> Self:
+        """Return the record without the means of its signals, with `linear` without their straight lines."""
+
+        def level(position: Array, value: Array) -> Array:
+            order = int(linear and value.size > 1)
+            return np.asarray(value - np.polyval(np.polyfit(position, value, order), position))
+
+        outputs = {n: Samples(one.position, level(one.position, one.value)) for n, one in self.outputs.items()}
+        steps = np.arange(float(self.steps))
+        return replace(self, inputs={n: level(steps, one) for n, one in self.inputs.items()}, outputs=outputs)
+
+    def resample(self, period: float) -> Self:
+        """Return the record with steps of `period` [s], all outputs at each step.
+
+        For a longer period all signals pass one anti-alias filter without a phase (`scipy.signal.resample_poly`), which
+        leaves the model between them as it is. Inputs then have nothing above half the new rate (hold "band-limited").
+        For the present period outputs are interpolated linearly at the steps. Raises IdentificationError for a shorter
+        period, which would add nothing, and for a record that has not two such steps.
+        """
+        ratio = Fraction(period / self.dt).limit_denominator(_RATIO) if is_number(period, 0.0) else Fraction(0)
+        if ratio < 1 or self.steps <= ratio:
+            last = self.dt * (self.steps - 1)
+            raise self.error(f"a period of {shown(period)} s", f"give {self.dt:.6g} to {last:.6g} s")
+        from scipy.signal import resample_poly  # imported late: most commands start without it
+
+        def slower(value: Array) -> Array:
+            if ratio == 1:
+                return value
+            return np.asarray(resample_poly(value, ratio.denominator, ratio.numerator, padtype="line"))
+
+        steps = np.arange(float(self.steps))
+        inputs = {name: slower(value) for name, value in self.inputs.items()}
+        outputs = {name: slower(np.interp(steps, one.position, one.value)) for name, one in self.outputs.items()}
+        count = len(next(iter(inputs.values())))
+        measured = {name: Samples(np.arange(float(count)), value) for name, value in outputs.items()}
+        hold = self.hold if ratio == 1 else dict.fromkeys(inputs, "band-limited")
+        return replace(self, dt=self.dt * float(ratio), inputs=inputs, outputs=measured, hold=hold)
+
     def pieces(self) -> tuple[Self, ...]:
         """Return the pieces between the gaps of the inputs, of `SHORTEST_PIECE` steps and more.
 
@@ -282,6 +324,24 @@ class Record:
                 pieces.append(replace(piece, flight=self.flight or self.name))
             begin = max(begin, b)
         return tuple(pieces)
+
+
+def merge(*records: Record) -> tuple[Record, ...]:
+    """Return experiments with one machine for one fit of them all: one verb fits several.
+
+    Each keeps its own initial states. Records of one name get numbers. Raises IdentificationError for records that
+    differ in their channels or by more than a thousandth in their steps.
+    """
+    for one in records:
+        check_record(one)
+        first = records[0]
+        if (one.inputs.keys(), one.outputs.keys()) != (first.inputs.keys(), first.outputs.keys()):
+            raise one.error(f"it has not the channels of '{first.name}'", "give records with the same channels")
+        if abs(one.dt - first.dt) > _SAME_STEP * first.dt:
+            raise one.error(f"steps of {one.dt:.6g} s, and {first.dt:.6g} s in '{first.name}'", "resample one of them")
+    names = [one.name for one in records]
+    alike = len(set(names)) < len(names)
+    return tuple(replace(one, name=f"{one.name} ({i + 1})") if alike else one for i, one in enumerate(records))
 
 
 def check_record(one: object) -> None:

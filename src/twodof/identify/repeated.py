@@ -13,6 +13,7 @@ from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate, finite
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record, check_record
+from twodof.models.polynomial import PolynomialModel
 from twodof.models.structure import Structure
 
 
@@ -124,7 +125,7 @@ class Repeated:
 
 
 def repeat(
-    structure: Structure,
+    structure: Structure | PolynomialModel,
     records: Sequence[Record],
     *,
     estimate: Collection[str] | None = None,

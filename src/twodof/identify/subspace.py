@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.record import Record, check_record
+from twodof.models.polynomial import orders_of
 from twodof.models.structure import MAX_STATES, Entry, Structure, linear_model
 
 Array = NDArray[np.float64]
@@ -124,6 +125,15 @@ def subspace(
     a = _stable(np.asarray(np.linalg.lstsq(gamma[:-p], gamma[p:], rcond=None)[0], dtype=float))
     b, d, x0, bias = _rest(a, c, u, y, size_y, feed_through)
     return SubspaceModel(ins, outs, record.dt, a, b, c, d, x0, bias, values)
+
+
+def subspace_named(name: str, record: Record) -> Structure:
+    """Return the structure of "subspace" or "subspace:4" between all channels of `record`, with its first guess.
+
+    Raises IdentificationError as `subspace`, and for an order that is no number.
+    """
+    order = name.partition(":")[2]
+    return subspace(record, order=orders_of(order, name) if order else None).structure()
 
 
 def _observability(u: Array, y: Array, reach: int, where: str) -> tuple[Array, Array]:

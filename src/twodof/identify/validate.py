@@ -188,7 +188,7 @@ class Comparison:
         }
 
 
-def compare(
+def comparison(
     record: str,
     output: str,
     time: Array,

@@ -10,6 +10,8 @@ from twodof.models.plant import (
     Velocity,
     thrust_curve,
 )
+from twodof.models.polynomial import PolynomialModel, armax, arx, bj, oe
+from twodof.models.process import process
 from twodof.models.structure import Structure, UnknownParameter, linear_model
 from twodof.models.structures import (
     free_response,
@@ -28,17 +30,24 @@ __all__ = [
     "DelayedStateSpace",
     "Longitudinal",
     "PitchRate",
+    "PolynomialModel",
     "SampledStateSpace",
     "StepFigures",
     "Structure",
     "UnknownParameter",
     "Velocity",
+    "armax",
+    "arx",
+    "bj",
     "free_response",
     "linear_model",
     "longitudinal",
+    "model_named",
+    "oe",
     "pitch_and_velocity",
     "pitch_on_cart",
     "pitch_rate",
+    "process",
     "rail",
     "step_figures",
     "thrust_curve",

@@ -86,6 +86,43 @@ class InputDelay(Block):
         return remember(u.u, x, self.ring)
 
 
+@library_block("models.DelayedPair")
+class DelayedPair(Block):
+    """Delay of a held input by `tau` seconds, for a plant that takes the step in two parts.
+
+    `older` is the input before its edge inside the step, `newer` that behind it. Before the start both are u[0]. `tau`
+    is at most `ring - 2` ticks; a longer one gives NaN.
+    """
+
+    def __init__(self, ring: int = 64, tau: float = 0.0) -> None:
+        self.ring, self.tau = ring, tau
+        self.inputs = (Port("u"),)
+        self.outputs = (Port("older"), Port("newer"))
+        self.params = (Param("tau", tau, unit="s", low=0.0, text="delay of the input"),)
+        self.derived = (Port("whole", "int32"), Port("fits", "bool"))
+        self.states = past_states(ring)
+
+    def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
+        """Return the whole ticks of the delay."""
+        whole, _ = whole_and_part(p.tau, t)
+        return {"whole": whole, "fits": p.tau / t.dt <= self.ring - 2.0}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        ago = past_input(u.u, x, p.fits, self.ring)
+        return {"older": ago(p.whole + 1), "newer": ago(p.whole)}
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        return remember(u.u, x, self.ring)
+
+
+def whole_and_part(delay: Any, t: Clock) -> tuple[Any, Any]:
+    """Return the whole ticks of a delay [s] and the rest as a share of a tick; up to rounding there is none."""
+    steps = delay / t.dt
+    whole = to_int32(steps + 1e-9)
+    part = steps - to_real(whole)
+    return whole, where(part > 1e-9, part, 0.0)
+
+
 @library_block("models.Offset")
 class Offset(Block):
     """y = u + sign * offset, in `unit`."""

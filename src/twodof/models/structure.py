@@ -1,17 +1,23 @@
 """Model structure: a diagram with parameters, some of which are estimated from data."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions.expr import where
 from twodof.errors import IdentificationError, is_number, shown
-from twodof.models.around_plant import Offset
+from twodof.models.around_plant import DelayedPair, Offset, whole_and_part
 from twodof.models.zero_order_hold import held, times, total
+
+Array = NDArray[np.float64]
 
 
 def check_structure(one: object) -> None:
@@ -61,6 +67,7 @@ class Structure:
     "<output>_measured", and its last unknowns the gains "K_i_j" with which they correct the states.
     `pushed` names initial states that random pushes move during the whole flight, with what is known of the density of
     the pushes [the state's unit/sqrt(s)]: the likeliest one, and the factor of a standard deviation.
+    `begin` gives the structure with first guesses for an input (steps,), an output (steps,) and the step [s].
     Raises IdentificationError for a name that is not a parameter of the diagram.
     """
 
@@ -76,6 +83,7 @@ class Structure:
     measured: tuple[str, ...] = ()
     predictor: "Structure | None" = None
     pushed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    begin: "Callable[[Array, Array, float], Structure] | None" = None
 
     def __post_init__(self) -> None:
         parts = [part for sum_of in self.sums.values() for part in sum_of]
@@ -194,6 +202,8 @@ def linear_model(
     guess: Mapping[str, float],
     bounds: Mapping[str, tuple[float, float]] | None = None,
     discrete: bool = False,
+    delays: Mapping[str, Entry] | None = None,
+    ring: int = 64,
     name: str = "linear_model",
 ) -> Structure:
     """Make the structure x' = A x + B u, y = C x + D u (`discrete`: x[k+1] = A x[k] + B u[k]).
@@ -204,7 +214,9 @@ def linear_model(
     `a=[[0, 1], ["-k", "-d"]]`. One name may stand in several places. `guess` has the first guess of each, `bounds`
     its (lower, upper). In continuous time the response to an input that is held over a tick is exact. The response to
     an input that changes within a tick (see `Record.hold`) is exact too if the model is slow compared with a tick. D is
-    0 by default: give numbers or names for a feed-through.
+    0 by default: give numbers or names for a feed-through. `delays` has the dead time of inputs [s], a number or the
+    name of an unknown: `delays={"u": "dead_time"}`; the response is exact for any dead time up to `ring` - 2 ticks. In
+    discrete time dead times are states of A.
 
     Further unknowns have a value for each record: the initial states x1_0, x2_0, ... (estimated by default); of each
     input a constant part without effect, "<input>_trim"; of each output a "<output>_bias". Trims and biases are 0 by
@@ -233,7 +245,14 @@ def linear_model(
                 raise IdentificationError(
                     f"`{key}` holds {entry!r:.40}", where, "use finite numbers and names, as 'k' and '-k'"
                 )
-    entries = [entry for matrix in (a, b, c, feed) for row in matrix for entry in row]
+    late = dict(delays or {})
+    for one, entry in late.items():
+        named = isinstance(entry, str) and entry.isidentifier()
+        if one not in inputs or discrete or not (named or is_number(entry, 0.0)):
+            raise IdentificationError(
+                f"the dead time {shown(entry)} of '{one}'", where, "give a name or seconds by input, in continuous time"
+            )
+    entries = [*(entry for matrix in (a, b, c, feed) for row in matrix for entry in row), *late.values()]
     unknowns = tuple(dict.fromkeys(entry.removeprefix("-") for entry in entries if isinstance(entry, str)))
     states = tuple(f"x{i + 1}_0" for i in range(n))
     local = (*states, *(f"{one}_trim" for one in inputs), *(f"{one}_bias" for one in outputs))
@@ -246,34 +265,46 @@ def linear_model(
                 where,
                 f"give `guess` finite numbers for: {', '.join(unknowns) or 'none'}",
             )
-    limits = {one: (bounds or {}).get(one, (-math.inf, math.inf)) for one in unknowns}
-    params = [Param(one, float(guess[one]), low=limits[one][0], high=limits[one][1]) for one in unknowns]
+    limits = {one: (0.0 if one in late.values() else -math.inf, math.inf) for one in unknowns} | dict(bounds or {})
+    params = [
+        Param(one, float(guess[one]), unit="s" if one in late.values() else "", low=low, high=high)
+        for one, (low, high) in ((one, limits[one]) for one in unknowns)
+    ]
     plain, corrected = (
-        _LinearModel(a, b, c, feed, inputs, outputs, params, discrete, gains) for gains in (False, True)
+        _LinearModel(a, b, c, feed, inputs, outputs, params, discrete, gains, late) for gains in (False, True)
     )
     gains = tuple(gain for row in corrected.gains for gain in row)
-    predictor = Structure(_around(corrected, name), (*unknowns, *states, *gains), local)
-    return Structure(_around(plain, name), (*unknowns, *states), local, predictor=predictor)
+    common = set(late.values()) if len(late) == m else set()
+    delay = str(next(iter(common))) if len(common) == 1 and common <= set(unknowns) else ""
+    predictor = Structure(_around(corrected, name, ring), (*unknowns, *states, *gains), local)
+    return Structure(_around(plain, name, ring), (*unknowns, *states), local, predictor=predictor, delay=delay)
 
 
-def _around(block: "_LinearModel", name: str) -> Diagram:
+def _around(block: "_LinearModel", name: str, ring: int) -> Diagram:
     """Return the diagram of a linear model between trims and biases."""
     diagram = Diagram(name)
     for param in block.params:
-        diagram.param(param.name, float(param.value), low=param.low, high=param.high)
+        diagram.param(param.name, float(param.value), unit=param.unit, low=param.low, high=param.high)
     diagram.add("model", block, params={param.name: param.name for param in block.params})
     for port in block.inputs[: block.applied]:
         one = port.name
         diagram.input(one)
         diagram.param(f"{one}_trim", 0.0, text=f"constant part of {one} that moves nothing")
         diagram.add(f"trim_{one}", Offset("", -1.0), params={"offset": f"{one}_trim"}, u=one)
-        diagram.connect(f"trim_{one}", f"model.{one}")
+        source, entry = f"trim_{one}", block.delays.get(one)
+        if entry is not None:
+            bound = {"tau": entry} if isinstance(entry, str) else {}
+            pair = DelayedPair(ring, 0.0 if isinstance(entry, str) else float(entry))
+            diagram.add(f"delay_{one}", pair, params=bound, u=source)
+            diagram.connect(f"delay_{one}.older", f"model.{one}_older")
+            source = f"delay_{one}.newer"
+        diagram.connect(source, f"model.{one}")
     for port in block.outputs:
         one = port.name
         diagram.param(f"{one}_bias", 0.0, text=f"bias of the measured {one}")
         diagram.add(f"bias_{one}", Offset(""), params={"offset": f"{one}_bias"}, u=f"model.{one}")
         diagram.output(one, f"bias_{one}")
-    for port in block.inputs[block.applied :]:
+    for port in block.inputs[block.applied : block.applied + len(block.gains[0])]:
         bias = port.name.removesuffix("_measured") + "_bias"
         diagram.input(port.name)
         diagram.add(f"unbiased_{port.name}", Offset("", -1.0), params={"offset": bias}, u=port.name)
@@ -303,12 +334,13 @@ class _LinearModel(Block):
         params: Sequence[Param],
         discrete: bool,
         gains: bool,
+        delays: Mapping[str, Entry],
     ) -> None:
-        self.a, self.b, self.c, self.d, self.discrete = a, b, c, d, discrete
+        self.a, self.b, self.c, self.d, self.discrete, self.delays = a, b, c, d, discrete, delays
         measured = [f"{name}_measured" for name in outputs] if gains else []
         self.gains = [[f"K_{i + 1}_{j + 1}" for j in range(len(measured))] for i in range(len(a))]
         self.applied = len(inputs)
-        self.inputs = tuple(Port(name) for name in (*inputs, *measured))
+        self.inputs = tuple(Port(name) for name in (*inputs, *measured, *(f"{name}_older" for name in delays)))
         self.outputs = tuple(Port(name) for name in outputs)
         self.names = [f"x{i + 1}" for i in range(len(a))]
         starts = (Param(f"{name}_0", text=f"{name} at the start") for name in self.names)
@@ -317,6 +349,8 @@ class _LinearModel(Block):
         self.derived = (
             *(Port(f"phi_{i}_{j}") for i in range(len(a)) for j in range(len(a))),
             *(Port(f"gamma_{i}_{j}") for i in range(len(a)) for j in range(len(inputs))),
+            *(Port(f"older_{i}_{name}") for i in range(len(a)) for name in delays),
+            *(Port(f"part_{name}") for name in delays),
         )
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
@@ -327,14 +361,28 @@ class _LinearModel(Block):
             phi, gamma = [v for row in a for v in row], [v for row in b for v in row]
         else:
             phi, gamma = held(a, b, t.dt)
-        return {f"phi_{k // n}_{k % n}": value for k, value in enumerate(phi)} | {
-            f"gamma_{k // m}_{k % m}": value for k, value in enumerate(gamma)
-        }
+        found: dict[str, Any] = {}
+        for name, entry in self.delays.items():
+            j = [port.name for port in self.inputs].index(name)
+            _, part = whole_and_part(p[entry] if isinstance(entry, str) else float(entry), t)
+            _, newer = held(a, [[row[j]] for row in b], t.dt * (1.0 - part))
+            for i in range(n):
+                found[f"older_{i}_{name}"] = gamma[i * m + j] - newer[i]
+                gamma[i * m + j] = newer[i]
+            found[f"part_{name}"] = part
+        return (
+            found
+            | {f"phi_{k // n}_{k % n}": value for k, value in enumerate(phi)}
+            | {f"gamma_{k // m}_{k % m}": value for k, value in enumerate(gamma)}
+        )
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """Return C x + D u."""
         c, d = _numbers(self.c, p), _numbers(self.d, p)
         state, inputs = [x[name] for name in self.names], [u[port.name] for port in self.inputs[: self.applied]]
+        for j, port in enumerate(self.inputs[: self.applied]):
+            if port.name in self.delays:
+                inputs[j] = where(p[f"part_{port.name}"] > 0.0, u[f"{port.name}_older"], inputs[j])
         return {
             port.name: total([*map(times, c[i], state), *map(times, d[i], inputs)])
             for i, port in enumerate(self.outputs)
@@ -349,6 +397,7 @@ class _LinearModel(Block):
                 [
                     *(p[f"phi_{i}_{j}"] * x[other] for j, other in enumerate(self.names)),
                     *(p[f"gamma_{i}_{j}"] * u[port.name] for j, port in enumerate(self.inputs[: self.applied])),
+                    *(p[f"older_{i}_{one}"] * u[f"{one}_older"] for one in self.delays),
                     *(p[gain] * error for gain, error in zip(self.gains[i], innovation, strict=True)),
                 ]
             )

@@ -70,7 +70,7 @@ def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
     - 2` steps. On q alone `theta_0` and `M_trim` have the same effect: estimate only one of them.
     """
     if lag:
-        return _about_trim(
+        return about_trim(
             "pitch_rate_lag",
             "angular rate from moment behind the rotors' lag, linear",
             ZohPitchRateLag(ring),
@@ -80,7 +80,7 @@ def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
             sums={"tau": ("dead_time", "lag")},
             prior={"lag": ROTOR_LAG},
         )
-    return _about_trim(
+    return about_trim(
         "pitch_rate",
         "angular rate from moment, linear",
         ZohPitchRate(ring),
@@ -140,7 +140,7 @@ def velocity() -> Structure:
     `theta_trim` is subtracted from theta: the pitch at which the cart would not accelerate (a rail that is not level,
     a biased estimate). From v alone it cannot be told from `v_bias` unless friction is visible: both are 0 by default.
     """
-    return _about_trim("velocity", "velocity from pitch, linear friction", ZohVelocity(), ("k_v", "p_v", "v_0"))
+    return about_trim("velocity", "velocity from pitch, linear friction", ZohVelocity(), ("k_v", "p_v", "v_0"))
 
 
 def rail(thrust: bool = False, ring: int = 64) -> Structure:
@@ -172,7 +172,7 @@ def rail(thrust: bool = False, ring: int = 64) -> Structure:
 
 def pitch_and_velocity(ring: int = 64) -> Structure:
     """Make G_q, G_v and G_x as one plant from M to theta, q, x and v (paper Figure 6 with the attitude loop open)."""
-    return _about_trim(
+    return about_trim(
         "pitch_and_velocity",
         "pitch and velocity from moment, linear",
         ZohPitchAndVelocity(ring),
@@ -184,7 +184,7 @@ def pitch_and_velocity(ring: int = 64) -> Structure:
 
 def longitudinal(ring: int = 64) -> Structure:
     """Make the course's three-state longitudinal model from M to u, q, theta and a_x (see `plant.Longitudinal`)."""
-    return _about_trim(
+    return about_trim(
         "longitudinal",
         "three-state longitudinal model",
         ZohLongitudinal(ring),
@@ -198,7 +198,7 @@ def free_response(ring: int = 64, substeps: int = 1) -> Structure:
 
     By default everything but the asymmetry of the friction and the delay is estimated.
     """
-    return _about_trim(
+    return about_trim(
         "free_response",
         "pitch with hardening spring and dry friction",
         PitchPendulum(),
@@ -209,16 +209,20 @@ def free_response(ring: int = 64, substeps: int = 1) -> Structure:
     )
 
 
-def _about_trim(
+def about_trim(
     name: str,
     text: str,
     plant: Block,
     estimate: Sequence[str],
     values: Mapping[str, float] = MappingProxyType({}),
     ring: int = 64,
+    longest: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Make the diagram input - trim -> delay -> plant -> + bias -> outputs, with all parameters on the outside."""
+    """Make the diagram input - trim -> delay -> plant -> + bias -> outputs, with all parameters on the outside.
+
+    `longest` [s] bounds the delay, by default what the ring holds at the control period.
+    """
     diagram = Diagram(name, text)
     input, unit = plant.inputs[0].name, plant.inputs[0].unit
     diagram.input(input, unit=unit)
@@ -226,7 +230,8 @@ def _about_trim(
     source = diagram.add("trim", Offset(unit, -1.0), params={"offset": trim}, u=input)
     # The ring holds this many steps of the control period; at a smaller step the delay reaches less far.
     delay = plant.plant_delay if isinstance(plant, ZohPlant) else "tau"
-    _offer(diagram, delay, values.get(delay, 0.0), "s", "delay of the input", (0.0, (ring - 2) * PERIOD))
+    most = (ring - 2) * PERIOD if longest is None else longest
+    _offer(diagram, delay, values.get(delay, 0.0), "s", "delay of the input", (0.0, most))
     if not isinstance(plant, ZohPlant):
         source = diagram.add("delay", InputDelay(ring), params={"tau": "tau"}, u=source)
     return _with_outputs(diagram, plant, {input: source}, estimate, values, delay=delay, **options)

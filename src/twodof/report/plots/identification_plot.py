@@ -23,6 +23,7 @@ from twodof.identify.frequency_response import FrequencyResponse, frequency_resp
 from twodof.identify.model_response import ModelResponse, model_response
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, Correlation
+from twodof.models.polynomial import PolynomialModel
 from twodof.models.structure import Structure
 from twodof.report.plots.canvas import Colours, draw_correlation, figure_page, quiet, write_figure
 from twodof.report.plots.flight_view import check_place
@@ -47,7 +48,7 @@ _Bode = tuple[str, str, ModelResponse | None, FrequencyResponse | None]
 
 def write_identification_plot(
     found: Estimate,
-    structure: Structure,
+    structure: Structure | PolynomialModel,
     records: Sequence[Record],
     path: str | Path,
     overwrite: bool = False,
@@ -76,7 +77,9 @@ def write_identification_plot(
 class _Drawing:
     """Drawing of a fit, with its content computed once."""
 
-    def __init__(self, found: Estimate, structure: Structure, records: Sequence[Record], reference: str = "") -> None:
+    def __init__(
+        self, found: Estimate, structure: Structure | PolynomialModel, records: Sequence[Record], reference: str = ""
+    ) -> None:
         self.found, self.structure, self.reference = found, structure, reference
         names = [record.name for record in records]
         shown = [one for one in (*found.identification, *found.validation) if one.record in names]
@@ -242,8 +245,10 @@ def _grid_of_tests(comparisons: Sequence[Comparison]) -> tuple[int, int]:
     return lines, -(-width // lines)
 
 
-def _units(structure: Structure, dt: float) -> dict[str, str]:
+def _units(structure: Structure | PolynomialModel, dt: float) -> dict[str, str]:
     """Return the units of inputs and outputs, as the diagram declares them."""
+    if isinstance(structure, PolynomialModel):
+        return {name: unit for name in (*structure.inputs, *structure.outputs) if (unit := unit_of(name)) != "-"}
     program = lower(structure.diagram, dt)
     declared = {name: one.unit or unit_of(name) for name, one in {**program.inputs, **program.outputs}.items()}
     return {name: unit for name, unit in declared.items() if unit != "-"}
