@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from twodof.errors import LinkError
 from twodof.fleet.local_drone import FLIES, ControllerReport, LocalDrone, wait_until_heard
-from twodof.fleet.virtual_drone import child_error, indented_lines, lower_priority
+from twodof.fleet.virtual_drone import child_error, indented_lines
 from twodof.link.signing import Key
 
 MOST_RESTARTS = 3
@@ -38,7 +38,7 @@ class ChildProcess:
     """Child process that runs `twodof ARGUMENTS` with this Python, and is reached at `url`.
 
     `listening` is set when the process reports that it listens; `output` keeps its last lines since then. `environment`
-    is added to ours. A `niceness` above 0 gives the process a lower priority.
+    is added to ours.
     """
 
     name: str
@@ -46,7 +46,6 @@ class ChildProcess:
     url: str
     drone: LocalDrone | None = None
     environment: Mapping[str, str] = field(default_factory=dict)
-    niceness: int = 0
     process: asyncio.subprocess.Process | None = None
     ended: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_RESTARTS + 1))
     said: deque[str] = field(default_factory=lambda: deque(maxlen=_LAST_LINES))
@@ -68,8 +67,6 @@ class ChildProcess:
             start_new_session=True,  # Ctrl-C reaches the parent alone, which ends its children in order
             env=os.environ | self.environment if self.environment else None,
         )
-        if self.niceness:
-            lower_priority(self.process.pid, self.niceness)
 
     async def wait(self) -> int:
         """Read the process's output until it ends; return its exit status."""
@@ -196,8 +193,6 @@ async def _first(tasks: Sequence[asyncio.Task[Any]]) -> asyncio.Task[Any]:
     return first
 
 
-NICENESS = 5
-"""The flight controllers get the processor first."""
 PAGE_ANSWER_S = 40.0
 """Deadline for the server to listen [s]."""
 
@@ -220,9 +215,7 @@ class LocalPage:
     ) -> None:
         connect = [word for url in urls for word in ("--connect", url)]
         arguments = ["lab", "--port", str(port), *connect, *options]
-        self._child = ChildProcess(
-            "the page's server", arguments, f"http://127.0.0.1:{port}", None, environment, NICENESS
-        )
+        self._child = ChildProcess("the page's server", arguments, f"http://127.0.0.1:{port}", None, environment)
         self._tell_all, self._secrets = tell, [secret for secret in environment.values() if secret]
         self._keeping: asyncio.Task[None] | None = None
 

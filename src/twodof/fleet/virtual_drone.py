@@ -1,6 +1,5 @@
-"""Virtual drones as child processes in lockstep; the error of a child that ended, and the priority of a child."""
+"""Virtual drones as child processes in lockstep; the error of a child that ended."""
 
-import os
 import re
 import selectors
 import subprocess
@@ -8,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
@@ -143,22 +142,3 @@ def child_error(said: Sequence[str], name: str, status: int | None = None) -> Li
         elif line.strip() and not remedy:
             what.append(line.rstrip())
     return LinkError("\n".join(what), f"{name}, {where}" if where else name, remedy)
-
-
-_LOWEST = 19
-
-
-def lower_priority(process: int, by: int) -> None:
-    """Raise the niceness of a process and its children by `by`, as far as the system allows it.
-
-    By default Linux shares out its processors to sessions first (autogroup), and looks at the niceness of a process
-    only within its own. Such a process therefore has a session of its own.
-    """
-    with suppress(OSError):  # it has ended already
-        niceness = min(_LOWEST, os.getpriority(os.PRIO_PROCESS, process) + by)
-        os.setpriority(os.PRIO_PROCESS, process, niceness)
-    with suppress(OSError):  # no such kernel
-        group = Path(f"/proc/{process}/autogroup")
-        if os.getsid(process) == process:
-            now = int(group.read_text(encoding="ascii").rpartition(" ")[2])
-            group.write_text(str(min(_LOWEST, now + by)), encoding="ascii")
