@@ -67,6 +67,20 @@ def test_bands_are_those_of_the_promise() -> None:
     assert shown.verdict.robust
 
 
+@pytest.mark.parametrize("steps", [1, 16, 257, 600])
+def test_flights_follow_the_recursion_step_by_step(steps: int) -> None:
+    """`simulate` makes blocks of steps side by side; the recursion x' = A x + B u makes one after the other."""
+    loop = PitchLoop(FAMILY.draw(3, 1), SampledController.of(stock_attitude(STUDENT)))
+    a, b, c, d = loop.matrices
+    goal = np.sin(0.05 * np.arange(steps))
+    x, expected = np.zeros((3, a.shape[1], 1)), []
+    for value in goal:
+        given = np.array([[value], [0.0], [0.0]])
+        expected.append((c @ x + d @ given)[..., 0])
+        x = a @ x + b @ given
+    np.testing.assert_allclose(np.stack(loop.simulate(goal), axis=2), expected, rtol=0.0, atol=1e-10)  # q to 20 rad/s
+
+
 def test_settling_time_is_that_of_one_response() -> None:
     sure = PitchFamily.of(VALUES, gust=0.4, q_noise=0.02)
     low, middle, high = tuning_preview(sure, STUDENT, members=40).figures["settling_time"]

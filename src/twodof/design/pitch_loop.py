@@ -26,7 +26,8 @@ TILT_WALK = 6.5e-4
 """Walk of the estimated theta [rad/sqrt(s)] by the noise of accelerometer and range, on the rigs `paper` and `lab`."""
 _LEAK = 1.0 - PERIOD / 2.0
 """Share of an error of theta that the estimator keeps from a sample to the next: it is corrected within 2 s."""
-_CHUNK = 64  # steps between two calls of `progress`
+_CHUNK = 256  # steps between two calls of `progress`
+_BLOCK = 16  # steps that are made one after the other, of all blocks of a chunk at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +187,7 @@ class PitchLoop:
         from scipy.signal import lfilter  # imported late: most commands start without it
 
         a, b, c, d = self.matrices
+        power = np.linalg.matrix_power(a, _BLOCK)
         n, steps = len(self.members), goal.size
         rng = np.random.default_rng(seed)
         x = np.zeros((n, a.shape[1], 1))
@@ -207,13 +209,21 @@ class PitchLoop:
             after, _ = lfilter([1.0], [1.0, -_LEAK], moved, axis=0, zi=_LEAK * walked)
             given[:, :, 1] = np.concatenate([walked, after[:-1]])
             walked = after[-1:]
-            drive = np.matmul(b, given[..., None])
-            drive[:, :, GUST, 0] += fresh * push
-            states = np.empty_like(drive)
-            for k in range(len(drive)):
-                states[k] = x
-                x = a @ x + drive[k]
-            out[now] = (c @ states + d @ given[..., None])[..., 0]
+            # Blocks side by side, the last one filled up: a few large products, and not a small one for each step.
+            given, push = (_in_blocks(part) for part in (given, push[..., None]))
+            drive = b @ given
+            drive[:, :, GUST] += np.reshape(fresh, (-1, 1)) * push[:, :, 0]
+            own = np.zeros_like(drive)
+            for k in range(1, _BLOCK):
+                own[k] = a @ own[k - 1] + drive[k - 1]
+            ends, begins = a @ own[-1] + drive[-1], np.empty(drive.shape[1:])
+            for k in range(ends.shape[-1]):
+                begins[..., k : k + 1] = x
+                x = power @ x + ends[..., k : k + 1]
+            for part in own:
+                part += begins
+                begins = a @ begins
+            out[now] = (c @ own + d @ given).transpose(3, 0, 1, 2).reshape(-1, n, 3)[: len(noise)]
             out[now, :, 0] += after
         return out[..., 0], out[..., 1], out[..., 2]
 
@@ -230,6 +240,12 @@ class PitchLoop:
             power = power @ power
         out = states[:steps, :-1] @ c.T + d[:, 0] * goal
         return np.asarray(out.T[..., None])
+
+
+def _in_blocks(rows: Array) -> Array:
+    """Return rows (k, n, i) as blocks side by side, (_BLOCK, n, i, blocks); rows of zeros fill the last one."""
+    whole = np.pad(rows, ((0, -len(rows) % _BLOCK), (0, 0), (0, 0)))
+    return np.ascontiguousarray(whole.reshape(-1, _BLOCK, *rows.shape[1:]).transpose(1, 2, 3, 0))
 
 
 PITCH_LOOPS = ("motors", "rate", "attitude")

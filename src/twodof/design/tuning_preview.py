@@ -142,7 +142,10 @@ def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _rounded(values: Array) -> list[float]:
-    return [float(f"{value:.5g}") for value in values]
+    """Return the values with five digits, as shown and sent."""
+    scale = 10.0 ** (4.0 - np.floor(np.log10(np.maximum(np.abs(values), 1e-9))))
+    rounded: list[float] = (np.rint(values * scale) / scale).tolist()
+    return rounded
 
 
 GAINS = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP")
