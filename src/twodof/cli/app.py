@@ -26,7 +26,7 @@ COMMANDS = MappingProxyType(
         "fly": ("fly", "Fly an experiment over MAVLink, on a virtual drone or a real one."),
         "watch": ("watch", "Watch drones in the terminal: state, mode, angle, position, battery, their last words."),
         "diagram": ("diagram", "Start, check, test, draw and linearize a diagram; see the C that it becomes."),
-        "slx": ("slx", "See what is in a Simulink file, draw it, and compare two."),
+        "slx": ("slx", "See what is in a Simulink file, draw it, compare two, import a controller."),
         "flash": ("flash", "Check and compile a controller, say what changes, and let it fly."),
         "identify": ("identify", "Identify a model from a flight log."),
         "campaign": ("campaign", "Fly many times, and see how often the default fit holds the truth."),

@@ -1,20 +1,25 @@
-"""`twodof slx`: look into Simulink files, draw them and compare two, without MATLAB."""
+"""`twodof slx`: look into Simulink files, draw them, compare two and import one, without MATLAB."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+from twodof.blocks.schema.json_form import to_json
 from twodof.cli.options import Force, Json, argument, flag, group, option
 from twodof.cli.output import exit_unless, one_line, print_fields, table, table_console
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.slx.difference import Difference, difference
+from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import Inspection, Library
 from twodof.slx.inspection import inspect as inspect_model
+from twodof.slx.matlab import read_workspace
 from twodof.slx.model import read_model
 from twodof.slx.picture import sheet_name, sheet_svg
 
-slx = group("See what is in a Simulink file (.slx, .mdl), draw it, and compare two; no MATLAB needed.")
+slx = group("See what is in a Simulink file (.slx, .mdl), draw it, compare two, and import one; no MATLAB needed.")
 
 ModelFile = Annotated[Path, argument("A model, library or subsystem file: .slx or .mdl of any release.", "MODEL")]
 
@@ -42,6 +47,62 @@ def inspect(
         )
     else:
         _print_inspection(found)
+
+
+Subsystem = Annotated[str, option("Only this subsystem: Controller/PID.", "PATH")]
+
+
+@slx.command("import")
+def import_(
+    model: ModelFile,
+    out: Annotated[Path | None, option("Write the diagram there, as JSON.", "FILE")] = None,
+    subsystem: Subsystem = "",
+    workspace: Annotated[
+        list[Path] | None, option("A script (.m) or .mat with the names that the model takes; may be repeated.", "FILE")
+    ] = None,
+    path: Annotated[
+        list[Path] | None, option("Look for libraries in this folder too; may be repeated.", "FOLDER")
+    ] = None,
+    dt: Annotated[float | None, option("The period, where no block says it.", "SECONDS")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Translate a model, or a subsystem of it, to a diagram; say what became of each block.
+
+    Exit status 1 if a block is refused: then nothing is written.
+    """
+    if out is not None:
+        check_folder(out, force)
+    names: dict[str, Any] = {}
+    notes: list[str] = []
+    for file in workspace or []:
+        notes += [f"{file.name}, line {one.line}: {one.why}" for one in read_workspace(file, names)]
+    folders = [model.parent, *(path or [])]
+    found = import_system(read_model(model), subsystem, names, folders, dt)
+    if found.diagram is not None and out is not None:
+        with atomic_write(out, "w") as stream:
+            stream.write(to_json(found.diagram))
+    if json:
+        report = [asdict(line) for line in found.report]
+        print_fields(fine=found.diagram is not None, dt=found.dt, report=report, notes=[*notes, *found.notes])
+    else:
+        _print_import(found, notes, out)
+    exit_unless(found.diagram is not None)
+
+
+def _print_import(found: Imported, notes: Sequence[str], out: Path | None) -> None:
+    console = table_console()
+    for note in (*notes, *found.notes):
+        console.print(f"note: {one_line(note)}")
+    rows = table("", "", "", "", show_header=False)
+    for line in found.report:
+        if line.status != "imported":
+            rows.add_row(line.status, one_line(line.path), line.kind, one_line(line.why))
+    console.print(rows)
+    counts = Counter(line.status for line in found.report)
+    console.print(", ".join(f"{count} {status}" for status, count in counts.items()) + f"; period {found.dt:g} s")
+    if found.diagram is not None and out is not None:
+        console.print(f"written: {out}")
 
 
 def _print_inspection(found: Inspection) -> None:
@@ -94,7 +155,7 @@ def _library(library: Library) -> str:
 def draw(
     model: ModelFile,
     out: Annotated[Path, option("Folder for the pictures, or an .svg for one of them.", "PATH")],
-    subsystem: Annotated[str, option("Only this subsystem: Controller/PID.", "PATH")] = "",
+    subsystem: Subsystem = "",
     force: Force = False,
 ) -> None:
     """Draw a model as SVG, a picture for each subsystem, linked like pages."""

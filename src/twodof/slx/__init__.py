@@ -1,1 +1,1 @@
-"""Simulink files without MATLAB: read .slx and .mdl, say what is in them, draw them and compare two."""
+"""Simulink files without MATLAB: read .slx and .mdl, say what is in them, draw, compare and import them."""

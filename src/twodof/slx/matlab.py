@@ -9,16 +9,20 @@ Values are numpy arrays of two dimensions (float64, float32, whole numbers, bool
 structure and `list` for a cell array.
 """
 
+import io
 import math
 import re
 from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import loadmat
 
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, LogError
+from twodof.flightlog import fence
 from twodof.slx.matlab_values import (
     FUNCTIONS,
     MOST_ELEMENTS,
@@ -108,6 +112,62 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
             if tokens[start].text not in _SILENT:
                 skipped.append(Skipped(line, str(reason)))
     return skipped
+
+
+def read_workspace(path: Path, names: MutableMapping[str, Value]) -> list[Skipped]:
+    """Add what a script (.m) or a .mat file gives a value to `names`; return what was not computed.
+
+    Raises DiagramError for a file that cannot be read.
+    """
+    try:
+        if path.suffix == ".m":
+            code, _ = fence.read(script_text, path)
+            return run(code, names)
+        plain, arrays = fence.read(mat_values, path)
+    except LogError as reason:
+        raise DiagramError(reason.what, reason.where, "give a script (.m) or a .mat of format 7 or older") from reason
+    left = list(arrays)
+
+    def value(said: Any) -> Value:
+        if isinstance(said, dict):
+            return {name: value(one) for name, one in said.items()}
+        return said if isinstance(said, str) else left[said[0]].reshape(said[1]).astype(said[2])
+
+    names.update({name: value(said) for name, said in plain["values"].items()})
+    return [Skipped(0, f"{name}: {why}") for name, why in plain["skipped"]]
+
+
+def script_text(data: bytes, where: str) -> fence.Answer:
+    """Return the text of a script, behind the fence."""
+    try:
+        return data.decode("utf-8-sig"), []
+    except UnicodeDecodeError:
+        return data.decode("latin-1"), []
+
+
+def mat_values(data: bytes, where: str) -> fence.Answer:
+    """Return the numbers, texts and structures of a .mat file, behind the fence: arrays apart, others by name."""
+    arrays: list[Array] = []
+    skipped: list[tuple[str, str]] = []
+
+    def plain(name: str, value: Any) -> Any:
+        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
+            return {field: plain(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names}
+        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1:
+            return str(value.flat[0])
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim != 2:
+            skipped.append((name, "is not a number, a text or a structure"))
+            return ""
+        arrays.append(value.astype(float))
+        return [len(arrays) - 1, list(value.shape), value.dtype.name]
+
+    try:
+        found = loadmat(io.BytesIO(data))
+    except (NotImplementedError, ValueError, TypeError) as reason:
+        raise LogError(f"is not read: {reason}", where, "") from reason
+    values = {name: plain(name, value) for name, value in found.items() if not name.startswith("__")}
+    missing = {name.partition(".")[0] for name, _ in skipped if "." not in name}
+    return {"values": {n: v for n, v in values.items() if n not in missing}, "skipped": skipped}, arrays
 
 
 def _tokens(text: str) -> list[_Token]:

@@ -1,0 +1,469 @@
+"""From a Simulink model, or one of its subsystems, to a diagram of the block language.
+
+`import_system(model, path, workspace)` first finds the type of each signal, from the sources on, then writes a diagram
+for each system. What cannot be translated is refused with its path and parameter, all at once; nothing is guessed. A
+report says for each block whether it was imported, approximated, dropped or refused.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from twodof.blocks import Diagram
+from twodof.blocks.block import Block as LibraryBlock
+from twodof.blocks.library import Constant, ZeroOrderHold
+from twodof.errors import DiagramError
+from twodof.slx.blocks import DROPPED, RULES, STATEFUL, TYPES, Asked, Made, Refused, Signal, expanded
+from twodof.slx.inspection import OWN_LIBRARIES, SUFFIXES
+from twodof.slx.matlab import evaluate, run
+from twodof.slx.matlab_values import Value, number
+from twodof.slx.model import Block, Model, Pin, System, collapsed, escaped, read_model
+
+_SINGLE = "single: computed in the precision of the build"
+_CONDITIONAL = ("EnablePort", "TriggerPort", "ActionPort", "ResetPort", "ForEach", "WhileIterator", "ForIterator")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the report: block path, its kind, what became of it, and why."""
+
+    path: str
+    kind: str
+    status: str
+    """`imported`, `approximated`, `dropped` or `refused`."""
+    why: str = ""
+
+
+@dataclass
+class Imported:
+    """What an import gave: the diagram (None if something was refused), its period [s] and the report."""
+
+    diagram: Diagram | None
+    dt: float
+    report: list[Line]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def refused(self) -> list[Line]:
+        """The lines of what cannot be translated."""
+        return [line for line in self.report if line.status == "refused"]
+
+
+def import_system(
+    model: Model,
+    path: str = "",
+    workspace: Mapping[str, Value] | None = None,
+    folders: Sequence[Path] = (),
+    dt: float | None = None,
+) -> Imported:
+    """Translate the system at `path` ("": the whole model). `workspace` has the names that the model takes.
+
+    Libraries are looked for in `folders`. `dt` is the period [s]; None takes it from the blocks' sample times, or from
+    the model's fixed step. Raises DiagramError for a path that does not exist.
+    """
+    return _Import(model, path, dict(workspace or {}), folders, dt).run()
+
+
+class _Import:
+    def __init__(
+        self, model: Model, path: str, workspace: dict[str, Value], folders: Sequence[Path], dt: float | None
+    ) -> None:
+        self.model, self.path, self.folders = model, collapsed(path).strip("/"), folders
+        self.report: list[Line] = []
+        self.notes = list[str]()
+        self.libraries: dict[str, Model | None] = {}
+        names: dict[str, Value] = {}
+        for callback in ("PreLoadFcn", "PostLoadFcn", "InitFcn"):
+            for skipped in run(model.callbacks.get(callback, ""), names):
+                self.notes.append(f"{callback}, line {skipped.line}: {skipped.why}")
+        self.names = {**names, **workspace}
+        self.systems: dict[str, tuple[System, dict[str, Value]]] = {}
+        self.blocks: dict[tuple[str, str], Block] = {}
+        self.made: dict[tuple[str, str], Made] = {}
+        self.signals: dict[tuple[str, str, int], Signal] = {}
+        self.approximated: dict[tuple[str, str], list[str]] = {}
+        self.given_dt = dt
+
+    def run(self) -> Imported:
+        system, names = self.model.system(self.path), self._names_at(self.path)
+        self._collect(self.path, system, names, 0)
+        self.dt = self.given_dt or self._period()
+        for key, block in self.blocks.items():
+            if block.type in ("Inport", "InportShadow") and key[0] == self.path:
+                self._try(key, lambda block=block, key=key: self._inport(key, block))
+        self._infer()
+        diagram = None if any(line.status == "refused" for line in self.report) else self._diagram(self.path)
+        order = {"refused": 0, "approximated": 1, "dropped": 2, "imported": 3}
+        self.report.sort(key=lambda line: order[line.status])
+        return Imported(diagram, self.dt, self.report, self.notes)
+
+    # --- what there is
+
+    def _names_at(self, path: str) -> dict[str, Value]:
+        """Return the names that a system's blocks may use: those of the masks around it win."""
+        names, at = dict(self.names), ""
+        for part in re.split(r"(?<!/)/(?!/)", path) if path else []:
+            block = next(b for b in self.model.system(at).blocks.values() if escaped(b.name) == part)
+            names = self._inside(block, {}, names)
+            at = f"{at}/{part}".lstrip("/")
+        return names
+
+    def _inside(self, block: Block, given: Mapping[str, str], names: dict[str, Value]) -> dict[str, Value]:
+        """Return the names inside a masked block, which has values `given` by a link."""
+        if block.mask is None:
+            return names
+        inner: MutableMapping[str, Value] = {}
+        for name, (kind, text) in block.mask.parameters.items():
+            said = given.get(name, text)
+            if kind == "edit":
+                try:
+                    inner[name] = evaluate(said, names, name)
+                except DiagramError:
+                    continue  # who asks for it is refused
+            else:
+                inner[name] = said
+        run(block.mask.initialization, inner)
+        return {**names, **inner}
+
+    def _collect(self, path: str, system: System, names: dict[str, Value], depth: int) -> None:
+        self.systems[path] = system, names
+        if depth > 40:
+            raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
+        for sid, block in system.blocks.items():
+            at = f"{path}/{escaped(block.name)}".lstrip("/")
+            if block.type in _CONDITIONAL:
+                self.report.append(
+                    Line(at, block.kind, "refused", "conditional and iterated subsystems are not translated")
+                )
+                continue
+            self.blocks[path, sid] = block
+            if block.commented:
+                continue
+            try:
+                inner, source = self._body(block)
+            except Refused as reason:
+                self.report.append(Line(at, block.kind, "refused", str(reason)))
+                continue
+            if inner is not None:
+                self._collect(at, inner, self._inside(source, {**block.values, **block.instance}, names), depth + 1)
+
+    def _body(self, block: Block) -> tuple[System | None, Block]:
+        """Return what is inside a block, and the block that has its mask: of a link, the library's."""
+        if block.kind in ("MATLAB Function", "Chart", "State Transition Table", "Truth Table"):
+            raise Refused(f"a {block.kind} is not translated")
+        if block.type == "SubSystem":
+            if block.values.get("Variant", "off") == "on":
+                raise Refused("a variant subsystem is not translated: import its active choice as --subsystem")
+            return block.system, block
+        if block.type != "Reference" or block.kind in RULES:
+            return None, block
+        library, _, inside = collapsed(block.values.get("SourceBlock", "")).partition("/")
+        if library in OWN_LIBRARIES:
+            raise Refused(f"the library block {library}/{inside} is not translated")
+        model = self._library(library)
+        if model is None:
+            raise Refused(f"the library {library} is not found: name its folder with --path")
+        found = dict(model.blocks()).get(inside)
+        if found is None or found.system is None:
+            raise Refused(f"the library {library} has no subsystem {inside}")
+        return found.system, found
+
+    def _library(self, name: str) -> Model | None:
+        if name not in self.libraries:
+            safe = re.fullmatch(r"[A-Za-z]\w*", name)
+            places = [at for f in self.folders for end in SUFFIXES if safe and (at := f / f"{name}{end}").is_file()]
+            self.libraries[name] = read_model(places[0]) if places else None
+        return self.libraries[name]
+
+    def _period(self) -> float:
+        """Return the one period of all blocks [s]. Raises DiagramError where there are several, or none."""
+        found: dict[float, str] = {}
+        for (path, _), block in self.blocks.items():
+            text = {**block.values, **block.instance}.get("SampleTime", "-1")
+            if text in ("-1", "inf", "0", "[0, 0]", "[0 0]", "[-1, 0]", "") or block.type in DROPPED:
+                continue
+            try:
+                values = number(evaluate(text, self.systems[path][1], "SampleTime"))
+            except DiagramError as reason:
+                where = f"{path}/{escaped(block.name)}".lstrip("/")
+                self.report.append(Line(where, block.kind, "refused", f"parameter SampleTime: {reason.what}"))
+                continue
+            if values.size and 0 < float(values.flat[0]) < float("inf"):
+                found.setdefault(float(values.flat[0]), f"{path}/{escaped(block.name)}".lstrip("/"))
+        if not found:
+            step = self.model.solver.get("FixedStep", "auto")
+            try:
+                found[float(number(evaluate(step, self.names, "FixedStep")).flat[0])] = "the fixed step"
+            except (DiagramError, AttributeError):
+                raise DiagramError(
+                    f"no block and no fixed step ({step}) says the period", self.model.name, "give it with --dt SECONDS"
+                ) from None
+        if len(found) > 1:
+            several = ", ".join(f"{time:g} s ({where})" for time, where in sorted(found.items()))
+            self.report.append(Line("", "sample times", "refused", f"several periods are not translated: {several}"))
+        return min(found)
+
+    # --- the types of the signals
+
+    def _try(self, key: tuple[str, str], step: object) -> bool:
+        block = self.blocks[key]
+        path = f"{key[0]}/{escaped(block.name)}".lstrip("/")
+        try:
+            step()  # type: ignore[operator]
+        except (Refused, DiagramError) as reason:
+            why = reason.what if isinstance(reason, DiagramError) else str(reason)
+            self.report.append(Line(path, block.kind, "refused", why))
+            self.made[key] = Made(None, [])
+            return False
+        return True
+
+    def _inport(self, key: tuple[str, str], block: Block) -> None:
+        said = collapsed(block.values.get("OutDataTypeStr", "Inherit: auto"))
+        if not said.startswith("Inherit") and said not in TYPES:
+            raise Refused(f"OutDataTypeStr = {said!r} is not translated")
+        size = evaluate(block.values.get("PortDimensions", "-1"), self.systems[key[0]][1], "PortDimensions")
+        elements = [int(n) for n in number(size).flatten()]
+        if len([n for n in elements if n > 1]) > 1:
+            raise Refused(f"PortDimensions = {block.values['PortDimensions']} is not translated")
+        width = max(elements)
+        if said == "single":
+            self.approximated.setdefault(key, []).append(_SINGLE)
+        if said.startswith("Inherit") or width == -1:
+            self.approximated.setdefault(key, []).append("inherits its type: taken for a scalar double")
+        self.signals[*key, 1] = Signal(TYPES.get(said, "real"), width if width > 1 else None)
+
+    def _source(self, path: str, pin: Pin) -> tuple[str, str, int] | None:
+        """Return the block and output that drive an input: through Goto and From, up and down."""
+        for _ in range(200):
+            system, _ = self.systems[path]
+            source = next((ln.source for ln in system.lines if ln.source and pin in set(ln.wire.sinks())), None)
+            if source is None or source.kind != "out":
+                return None
+            block = system.blocks.get(source.sid)
+            if block is None or block.commented:
+                return None
+            if block.type != "From":
+                return path, source.sid, source.number
+            tag = block.values.get("GotoTag", "A")
+            gotos = [
+                sid for sid, b in system.blocks.items() if b.type == "Goto" and b.values.get("GotoTag", "A") == tag
+            ]
+            if len(gotos) != 1:
+                raise Refused(f"{len(gotos)} Goto blocks have the tag {tag} in this system")
+            pin = Pin(gotos[0], "in", 1)
+        raise Refused("From and Goto blocks lead in a circle")
+
+    def _known(self, source: tuple[str, str, int] | None) -> Signal | None:
+        """Return the type of a source; that of nothing is a scalar 0. None: not known yet."""
+        if source is None:
+            return Signal()
+        path, sid, output = source
+        block = self.blocks.get((path, sid))
+        if block is None:
+            return None
+        inner = f"{path}/{escaped(block.name)}".lstrip("/")
+        if inner in self.systems and self._is_system(block):
+            port = self._port(inner, "Outport", output)
+            return Signal() if port is None else self._known(self._source(inner, Pin(port, "in", 1)))
+        if block.type in ("Inport", "InportShadow") and path != self.path:
+            outer, _, name = path.rpartition("/") if "//" not in path else self._parent(path)
+            owner = next(s for s, b in self.systems[outer][0].blocks.items() if escaped(b.name) == name)
+            return self._known(self._source(outer, Pin(owner, "in", int(block.values.get("Port", "1")))))
+        return self.signals.get(source)
+
+    @staticmethod
+    def _parent(path: str) -> tuple[str, str, str]:
+        parts = re.split(r"(?<!/)/(?!/)", path)
+        return "/".join(parts[:-1]), "/", parts[-1]
+
+    @staticmethod
+    def _is_system(block: Block) -> bool:
+        return block.type in ("SubSystem", "Reference") and block.kind not in RULES
+
+    def _port(self, path: str, kind: str, number: int) -> str | None:
+        ports = self.systems[path][0].blocks.items()
+        return next((s for s, b in ports if b.type == kind and b.values.get("Port", "1") == str(number)), None)
+
+    def _infer(self) -> None:
+        waiting = {
+            k: b for k, b in self.blocks.items() if b.type not in ("Inport", "Outport", "InportShadow", "Goto", "From")
+        }
+        waiting = {k: b for k, b in waiting.items() if not self._is_system(b) and not b.commented}
+        count = {k: self._input_count(k, b) for k, b in waiting.items()}
+        while waiting:
+            ready = [k for k in waiting if self._translate(k, waiting[k], count[k], False)]
+            if not ready:
+                ready = [k for k, b in waiting.items() if b.type in STATEFUL and self._translate(k, b, count[k], True)][
+                    :1
+                ]
+            if not ready:
+                for (path, _), block in waiting.items():
+                    why = "the types of its inputs are not known: they lead in a circle, or hang on what is refused"
+                    self.report.append(Line(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, "refused", why))
+                return
+            for key in ready:
+                del waiting[key]
+
+    def _input_count(self, key: tuple[str, str], block: Block) -> int:
+        if block.ports is not None:
+            return block.ports[0]
+        used = [
+            p.number
+            for ln in self.systems[key[0]][0].lines
+            for p in ln.wire.sinks()
+            if p.sid == key[1] and p.kind == "in"
+        ]
+        return max(used, default=0)
+
+    def _translate(self, key: tuple[str, str], block: Block, count: int, assume: bool) -> bool:
+        """Translate a block whose inputs are known, or assume a scalar; return whether it is done, refused or not."""
+        path, names = key[0], self.systems[key[0]][1]
+        if block.kind not in RULES:
+            self._refuse(key, f"the block type {block.kind} is not translated")
+            return True
+        try:
+            inputs = [self._known(self._source(path, Pin(key[1], "in", k + 1))) for k in range(count)]
+        except Refused as reason:
+            self._refuse(key, str(reason))
+            return True
+        if any(one is None for one in inputs) and not assume:
+            return False
+        values = {**self.model.defaults.get(block.type, {}), **block.values, **block.instance}
+        asked = Asked(block, path, values, names, [one or Signal() for one in inputs], self.dt)
+
+        def translate() -> None:
+            made = RULES[block.kind](asked)
+            self.made[key] = made
+            for k, signal in enumerate(made.outputs):
+                self.signals[*key, k + 1] = signal
+            notes = [*asked.notes, *([_SINGLE] if asked.text("OutDataTypeStr") == "single" else [])]
+            self.approximated.setdefault(key, []).extend(notes)
+
+        self._try(key, translate)
+        return True
+
+    def _refuse(self, key: tuple[str, str], why: str) -> None:
+        block = self.blocks[key]
+        self.report.append(Line(f"{key[0]}/{escaped(block.name)}".lstrip("/"), block.kind, "refused", why))
+        self.made[key] = Made(None, [])
+
+    # --- the diagram
+
+    def _diagram(self, path: str) -> Diagram:
+        system, _ = self.systems[path]
+        title = re.split(r"(?<!/)/(?!/)", path)[-1] if path else self.model.name
+        diagram = Diagram(_safe(title, set()), f"{self.model.name}/{path}".rstrip("/"))
+        names: dict[str, str] = {}
+        taken: set[str] = set()
+        for sid, block in self._ordered(system):
+            names[sid] = _safe(block.name, taken)
+            taken.add(names[sid])
+        outports = [(sid, block) for sid, block in self._ordered(system) if block.type == "Outport"]
+        for sid, block in self._ordered(system):
+            if block.type == "Inport":
+                signal = self._known((path, sid, 1)) or Signal()
+                diagram.input(names[sid], signal.kind, signal.width)
+                self._report(path, sid, "imported")
+        for sid, block in system.blocks.items():
+            self._add(diagram, path, sid, block, names)
+        for sid, block in system.blocks.items():
+            self._wire(diagram, path, sid, block, names)
+        for sid, _ in outports:
+            source = self._name(path, self._source(path, Pin(sid, "in", 1)), names, diagram)
+            if source in diagram.inputs:  # an output of a diagram is fed by a part
+                port = diagram.inputs[source]
+                passed = _safe(f"{source}_passed", taken)
+                diagram.add(passed, ZeroOrderHold(port.kind, port.width))
+                diagram.connect(source, passed)
+                source = passed
+            diagram.output(names[sid], source)
+            self._report(path, sid, "imported")
+        return diagram
+
+    @staticmethod
+    def _ordered(system: System) -> Iterator[tuple[str, Block]]:
+        """Yield the ports by number, then the other blocks, so that names are the ports' first."""
+
+        def rank(item: tuple[str, Block]) -> tuple[int, int]:
+            said = item[1].values.get("Port", "1")
+            kinds = {"Inport": 0, "Outport": 1}
+            return kinds.get(item[1].type, 2), int(said) if said.isdigit() and item[1].type in kinds else 0
+
+        return iter(sorted(system.blocks.items(), key=rank))
+
+    def _add(self, diagram: Diagram, path: str, sid: str, block: Block, names: Mapping[str, str]) -> None:
+        inner = f"{path}/{escaped(block.name)}".lstrip("/")
+        if block.commented:
+            self._report(path, sid, "dropped", "commented out")
+            return
+        if block.type in ("Inport", "Outport", "InportShadow", "Goto", "From"):
+            if block.type not in ("Inport", "Outport"):
+                self._report(path, sid, "imported")
+            return
+        if self._is_system(block):
+            diagram.add(names[sid], self._diagram(inner), position=_position(block))
+            self._report(path, sid, "imported")
+            return
+        made = self.made[path, sid]
+        if made.item is None:
+            self._report(path, sid, "dropped", "it shows or keeps a signal and computes nothing")
+            return
+        diagram.add(names[sid], made.item, position=_position(block))
+        notes = self.approximated.get((path, sid), [])
+        self._report(path, sid, "approximated" if notes else "imported", "; ".join(notes))
+
+    def _wire(self, diagram: Diagram, path: str, sid: str, block: Block, names: Mapping[str, str]) -> None:
+        name = names[sid]
+        if name not in diagram.parts:
+            return
+        item = diagram.parts[name].item
+        made = self.made.get((path, sid), Made(None, []))
+        ports = [port.name for port in item.inputs] if isinstance(item, LibraryBlock) else list(item.inputs)
+        width = None
+        if made.expand and made.item is not None and made.outputs and not isinstance(item, Diagram):
+            width = next((port.width for port in item.inputs if port.width is not None), None)
+        for k, port in enumerate(made.ports or ports):
+            found = self._source(path, Pin(sid, "in", k + 1))
+            source = self._name(path, found, names, diagram)
+            signal = self._known(found) or Signal()
+            if made.expand and width is not None and signal.width is None:
+                source = expanded(diagram, source, signal, width)
+            diagram.connect(source, f"{name}.{port}")
+
+    def _name(self, path: str, source: tuple[str, str, int] | None, names: Mapping[str, str], diagram: Diagram) -> str:
+        """Return the source's name in the diagram; an unconnected input is 0, as in Simulink."""
+        if source is None:
+            if "ground" not in diagram.parts:
+                diagram.add("ground", Constant(0.0))
+            return "ground"
+        _, sid, output = source
+        block = self.blocks[path, sid]
+        if block.type in ("Inport", "InportShadow"):
+            shown = self._port(path, "Inport", int(block.values.get("Port", "1")))
+            return names[shown or sid]
+        item = diagram.parts[names[sid]].item
+        if isinstance(item, LibraryBlock):
+            return f"{names[sid]}.{item.outputs[output - 1].name}"
+        return f"{names[sid]}.{list(item.outputs)[output - 1]}"
+
+    def _report(self, path: str, sid: str, status: str, why: str = "") -> None:
+        block = self.blocks[path, sid]
+        notes = self.approximated.get((path, sid), [])
+        if notes and status == "imported":
+            status, why = "approximated", "; ".join(notes)
+        self.report.append(Line(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
+
+
+def _position(block: Block) -> tuple[float, float] | None:
+    numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", block.values.get("Position", ""))]
+    return (numbers[0], numbers[1]) if len(numbers) == 4 and max(map(abs, numbers)) < 1e6 else None
+
+
+def _safe(name: str, taken: set[str]) -> str:
+    """Return a legal name near to a block's that is not taken."""
+    plain = re.sub(r"^(?![A-Za-z])", "b", re.sub(r"\W+", "_", collapsed(name), flags=re.ASCII).strip("_"))[:50] or "b"
+    made, k = plain, 2
+    while made in taken:
+        made, k = f"{plain}_{k}", k + 1
+    return made

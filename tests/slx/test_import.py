@@ -1,0 +1,229 @@
+"""Simulink models as diagrams: beside MathWorks' own C where it is at hand, and beside arithmetic written by hand."""
+
+import gzip
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.signal import lfilter
+from typer.testing import CliRunner
+
+from tests.slx.files import slx, written
+from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.cli.slx import slx as command
+from twodof.compile import build
+from twodof.slx.importer import Imported, import_system
+from twodof.slx.matlab import read_workspace
+from twodof.slx.model import read_model
+
+pytestmark = pytest.mark.slow
+DT = 0.01
+STEPS = 200
+
+
+def model(blocks: list[tuple[str, str, dict[str, str]]], lines: list[tuple[str, str]]) -> dict[str, str]:
+    """The parts of a model: blocks of (type, name, values), and lines from `name:port` to `name:port`."""
+    ids = {name: str(k + 1) for k, (_, name, _) in enumerate(blocks)}
+
+    def pin(text: str, side: str) -> str:
+        name, _, number = text.partition(":")
+        return f"{ids[name]}#{side}:{number or 1}"
+
+    body = "".join(
+        f'<Block BlockType="{kind}" Name="{name}" SID="{ids[name]}">'
+        + "".join(f'<P Name="{key}">{escape(value)}</P>' for key, value in values.items())
+        + "</Block>"
+        for kind, name, values in blocks
+    )
+    body += "".join(f'<Line><P Name="Src">{pin(a, "out")}</P><P Name="Dst">{pin(b, "in")}</P></Line>' for a, b in lines)
+    return {"simulink/blockdiagram.xml": f"<ModelInformation><Model><System>{body}</System></Model></ModelInformation>"}
+
+
+def flown(found: Imported, inputs: dict[str, np.ndarray], steps: int = STEPS) -> dict[str, np.ndarray]:
+    """What the imported diagram gives, after a round trip through JSON."""
+    assert found.diagram is not None, [line for line in found.report if line.status == "refused"]
+    return build(from_json(to_json(found.diagram)), dt=found.dt).machine().run(steps, inputs)
+
+
+def one_block(tmp_path: Path, kind: str, values: dict[str, str], count: int = 1, width: int = 1) -> Imported:
+    """Import a model of one block with inputs u1, u2, ... and the output y."""
+    dimension = {} if width == 1 else {"PortDimensions": str(width)}
+    ports = [
+        ("Inport", f"u{k}", {"Port": str(k), "OutDataTypeStr": "double", **dimension}) for k in range(1, count + 1)
+    ]
+    blocks = [*ports, (kind, "block", values), ("Outport", "y", {})]
+    lines = [*((f"u{k}", f"block:{k}") for k in range(1, count + 1)), ("block", "y")]
+    return import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT)
+
+
+DRAWN = np.random.default_rng(1).normal(0.0, 2.0, (3, STEPS))
+
+
+def by_hand_integral(u: np.ndarray, low: float, high: float) -> np.ndarray:
+    y, state = [], 0.0
+    for v in u:
+        y.append(state)
+        state = min(max(state + 2.0 * DT * v, low), high)
+    return np.array(y)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "count", "wanted"),
+    [
+        ("Sum", {"Inputs": "|-+-"}, 3, lambda a, b, c: -a + b - c),
+        ("Sum", {"Inputs": "3"}, 3, lambda a, b, c: a + b + c),
+        ("Product", {"Inputs": "*/*"}, 3, lambda a, b, c: a / b * c),
+        ("Gain", {"Gain": "2/3"}, 1, lambda a: (2 / 3) * a),
+        ("Saturate", {"UpperLimit": "1", "LowerLimit": "-.25"}, 1, lambda a: np.clip(a, -0.25, 1.0)),
+        ("UnitDelay", {"InitialCondition": "3"}, 1, lambda a: np.r_[3.0, a[:-1]]),
+        ("Delay", {"DelayLength": "4", "InitialCondition": "-1"}, 1, lambda a: np.r_[[-1.0] * 4, a[:-4]]),
+        ("Memory", {"X0": ".5"}, 1, lambda a: np.r_[0.5, a[:-1]]),
+        (
+            "DiscreteIntegrator",
+            {"gainval": "2", "LimitOutput": "on", "UpperSaturationLimit": ".1", "LowerSaturationLimit": "-.1"},
+            1,
+            lambda a: by_hand_integral(a, -0.1, 0.1),
+        ),
+        ("Abs", {}, 1, np.abs),
+        ("Bias", {"Bias": "-2.5"}, 1, lambda a: a - 2.5),
+        ("UnaryMinus", {}, 1, lambda a: -a),
+        ("Signum", {}, 1, np.sign),
+        ("Sqrt", {}, 1, lambda a: np.sqrt(np.where(a < 0, np.nan, a))),
+        ("Math", {"Operator": "square"}, 1, lambda a: a * a),
+        ("MinMax", {"Function": "max", "Inputs": "2"}, 2, np.maximum),
+        ("Switch", {"Threshold": "0.5"}, 3, lambda a, b, c: np.where(b >= 0.5, a, c)),
+        ("Switch", {"Criteria": "u2 ~= 0"}, 3, lambda a, b, c: np.where(b != 0, a, c)),
+        ("RelationalOperator", {"Operator": "~="}, 2, lambda a, b: a != b),
+        ("DeadZone", {}, 1, lambda a: np.where(a > 0.5, a - 0.5, np.where(a < -0.5, a + 0.5, 0.0))),
+    ],
+)
+def test_a_block_computes_what_its_definition_says(
+    tmp_path: Path, kind: str, values: dict[str, str], count: int, wanted: Callable[..., np.ndarray]
+) -> None:
+    found = flown(one_block(tmp_path, kind, values, count), {f"u{k + 1}": DRAWN[k] for k in range(count)})
+    assert np.array_equal(found["y"], wanted(*DRAWN[:count]), equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", ["DiscreteTransferFcn", "DiscreteFilter"])
+def test_a_filter_is_that_of_scipy(tmp_path: Path, kind: str) -> None:
+    values = {"Numerator": "[1 .5]", "Denominator": "[2 -1 .3]"}
+    found = flown(one_block(tmp_path, kind, values), {"u1": DRAWN[0]})
+    top = [0.0, 1.0, 0.5] if kind == "DiscreteTransferFcn" else [1.0, 0.5]
+    # Another order of the operations: some units in the last place.
+    assert np.allclose(found["y"], lfilter(top, [2.0, -1.0, 0.3], DRAWN[0]), rtol=1e-12, atol=1e-14)
+
+
+def test_vectors_are_joined_split_and_expanded(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double", "PortDimensions": "3"}),
+        ("Inport", "k", {"Port": "2", "OutDataTypeStr": "double"}),
+        ("Product", "scaled", {"Ports": "[2, 1]"}),
+        ("Demux", "parts", {"Outputs": "[1 2]", "Ports": "[1, 2]"}),
+        ("Mux", "again", {"Ports": "[2, 1]"}),
+        ("Gain", "matrix", {"Gain": "[0 1 0; 2 0 0]", "Multiplication": "Matrix(K*u)"}),
+        ("Selector", "second", {"Indices": "[2 1]", "InputPortWidth": "2"}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("u", "scaled:1"), ("k", "scaled:2"), ("scaled", "parts"), ("parts:1", "again:1"), ("parts:2", "again:2")]
+    lines += [("again", "matrix"), ("matrix", "second"), ("second", "y")]
+    found = import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT)
+    u = DRAWN.T.copy()
+    scaled = u * DRAWN[0][:, None]
+    assert np.array_equal(flown(found, {"u": u, "k": DRAWN[0]})["y"], np.c_[2 * scaled[:, 0], scaled[:, 1]])
+
+
+def test_a_loop_is_broken_at_its_delay_and_goto_leads_to_from(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("Sum", "sum", {"Ports": "[2, 1]"}),
+        ("Goto", "to", {"GotoTag": "y"}),
+        ("From", "from", {"GotoTag": "y"}),
+        ("UnitDelay", "z", {}),
+        ("Terminator", "end", {}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("u", "sum:1"), ("z", "sum:2"), ("sum", "to"), ("from", "z"), ("sum", "y"), ("sum", "end")]
+    found = import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT)
+    assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], np.cumsum(DRAWN[0]))
+    assert [line.path for line in found.report if line.status == "dropped"] == ["end"]
+
+
+def test_what_is_not_translated_is_refused_by_path_and_parameter_all_at_once(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {}),
+        ("DiscreteIntegrator", "sum of q", {"ExternalReset": "rising"}),
+        ("Gain", "k", {"Gain": "1/m"}),
+        ("IGRF", "field", {}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("u", "sum of q"), ("sum of q", "y"), ("u", "k")]
+    found = import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT)
+    assert found.diagram is None
+    assert {(line.path, line.why) for line in found.refused} == {
+        ("sum of q", "ExternalReset = 'rising' is not translated"),
+        ("k", "parameter Gain: 1/m: m has no value"),
+        ("field", "the block type IGRF is not translated"),
+    }
+
+
+def test_names_come_from_scripts_and_mat_files_and_masks_shadow_them(tmp_path: Path) -> None:
+    (tmp_path / "gains.m").write_text("kp = 4; g.ki = .5;\nM_MAX = load('x');\n", encoding="utf-8")
+    savemat(tmp_path / "more.mat", {"M_MAX": 1.5, "cells": np.array([1, "a"], dtype=object)})
+    names: dict[str, object] = {}
+    assert [one.line for one in read_workspace(tmp_path / "gains.m", names)] == [2]
+    assert [one.why for one in read_workspace(tmp_path / "more.mat", names)] == [
+        "cells: is not a number, a text or a structure"
+    ]
+    found = import_system(read_model(written("split", tmp_path)), "", names)
+    assert found.dt == 0.004  # the fixed step Ts, which the model's InitFcn says
+    # The model's own InitFcn says kp = 2, a --workspace file 4.
+    assert np.array_equal(flown(found, {"error": DRAWN[0]})["M"], np.clip(2.5 * DRAWN[0], -1.5, 1.5))
+
+
+def test_the_command_writes_the_diagram_or_says_why_not(tmp_path: Path) -> None:
+    path, out = written("split", tmp_path), tmp_path / "limits.json"
+    (tmp_path / "w.m").write_text("M_MAX = 1; g.ki = 0;", encoding="utf-8")
+    run = CliRunner().invoke
+    refused = run(command, ["import", str(path), "--out", str(out)])
+    assert refused.exit_code == 1
+    assert "g.ki has no value" in refused.output
+    assert not out.exists()
+    done = run(command, ["import", str(path), "--out", str(out), "--workspace", str(tmp_path / "w.m"), "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["fine"] is True
+    assert list(from_json(out.read_text(encoding="utf-8")).outputs) == ["M"]
+
+
+SAMPLES = os.environ.get("TWODOF_SLX_SAMPLES", "")
+
+
+@pytest.mark.skipif(not SAMPLES, reason="let TWODOF_SLX_SAMPLES name the folder of the public sample models")
+def test_three_pid_controllers_have_the_bits_of_mathworks_c() -> None:
+    """2,000 steps: outputs, and the states of three integrators and three derivatives."""
+    found = import_system(read_model(Path(SAMPLES) / "complementary_controller.slx"), "PID_Controller")
+    assert found.diagram is not None
+
+    def table(which: str) -> tuple[list[str], np.ndarray]:
+        with gzip.open(Path(SAMPLES) / f"complementary_controller.PID_Controller.{which}.csv.gz", "rt") as file:
+            names = file.readline().strip().split(",")[1:]
+            return names, np.loadtxt(file, delimiter=",")[:, 1:]
+
+    (_, given), (names, wanted) = table("in"), table("out")
+    loops = ("PID_Pitch", "PID_Roll", "PID_Azimuth")
+    states = [
+        path for loop in loops for path in (f"{loop}.Discrete_Time_Integrator.x", f"{loop}.Discrete_Derivative.UD.x")
+    ]
+    machine = build(found.diagram, dt=found.dt).machine()
+    outputs, kept = [], []
+    for row in given:
+        got = machine.step(dict(zip(found.diagram.inputs, row.tolist(), strict=True)))
+        outputs.append([got[name] for name in found.diagram.outputs])
+        kept.append([machine.state(path) for path in states])
+    assert len(wanted) == 2000
+    assert np.array_equal(np.array(outputs), wanted[:, :3])
+    assert np.array_equal(np.array(kept), wanted[:, 3:]), names
