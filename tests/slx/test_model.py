@@ -93,14 +93,14 @@ def hostile(kind: str) -> dict[str, str]:
         del files[inner]
     elif kind == "too many blocks":
         block = '<Block BlockType="Gain" Name="g" SID="1"/>'
-        files[root] = f"<System>{block * 1_000_000}</System>"
+        files[root] = f"<System>{block * 300_000}</System>"
     elif kind == "too deep":
         depth = 200_000
         files[root] = "<System>" + "<Block><System>" * depth + "</System></Block>" * depth + "</System>"
     elif kind == "branches too deep":
         files[root] = "<System><Line>" + "<Branch>" * 100_000 + "</Branch>" * 100_000 + "</Line></System>"
     elif kind == "zeros":
-        files["simulink/blockdiagram.xml"] = " " * (1 << 30)
+        files["simulink/blockdiagram.xml"] = " " * ((64 << 20) + 1)
     elif kind == "no XML":
         files[root] = "<System><Block"
     elif kind == "no diagram":
@@ -119,7 +119,7 @@ def hostile(kind: str) -> dict[str, str]:
         ("too many blocks", "more than 100000 blocks|processor time|more memory"),
         ("too deep", "deep|processor time|ends its reader"),
         ("branches too deep", "deep|ends its reader"),
-        ("zeros", "has 1073741824 bytes"),
+        ("zeros", "has 67108865 bytes"),
         ("no XML", "its XML is damaged"),
         ("no diagram", "has no part simulink/blockdiagram.xml"),
     ],

@@ -40,7 +40,7 @@ from twodof.slx.matlab_values import (
     stored,
 )
 
-MOST_STEPS = 200_000
+MOST_STEPS = 50_000
 DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
 
 _TOKEN = re.compile(
