@@ -27,26 +27,26 @@ BLOCK = re.compile(r"<!-- measured: real -->\n.*?<!-- end -->", re.DOTALL)
 
 @dataclass(frozen=True)
 class RealFlight:
-    """A manoeuvre of a log: its `kind` of experiment, and its window [s] where the log holds several or none is found.
+    """The longest manoeuvre of a log, its `kind` of experiment, and how the cart was: "rings", "free".
 
-    `at_rest` says that the rotors stood still.
+    In the third way, "at rest", the cart is in rings and the rotors stand still.
     """
 
     log: str
     kind: str
-    window: tuple[float, float] | None = None
-    at_rest: bool = False
+    cart: str = "rings"
 
 
-_DOUBLETS, _SWEEP = "velocity-doublets-0.25", "position-sweep-default"
-_MORE_DOUBLETS, _STEPS, _RANDOM = (
+_FREE = (
+    "velocity-doublets-0.25",
     "log_3_2024-5-22-17-24-38_2dd",
     "log_7_2024-5-22-17-29-46_2dd",
+    "position-sweep-default",
     "log_3_2024-5-22-17-30-40_2dd",
 )
 
 FLIGHTS: Sequence[RealFlight] = (
-    RealFlight("free-response-impulse", "impulse", at_rest=True),
+    RealFlight("free-response-impulse", "impulse", "at rest"),
     RealFlight("doublet-0.03", "doublet"),
     RealFlight("log_2_2024-5-22-17-25-02_2dd", "doublet"),
     RealFlight("attitude-steps-10deg-default", "attitude"),
@@ -54,14 +54,8 @@ FLIGHTS: Sequence[RealFlight] = (
     RealFlight("attitude-steps-10deg-student", "attitude"),
     RealFlight("log_6_2024-5-22-17-27-44_2dd", "attitude"),
     RealFlight("rate-doublets-30dps-student", "attitude"),
-    *(
-        RealFlight(name, kind)
-        for kind in ("attitude", "velocity")
-        for name in (_DOUBLETS, _MORE_DOUBLETS, _STEPS, _SWEEP)
-    ),
-    *(RealFlight(_RANDOM, kind, (51.4, 77.0)) for kind in ("attitude", "velocity")),
+    *(RealFlight(name, kind, "free") for kind in ("attitude", "velocity") for name in _FREE),
 )
-"""The last one's set-point jumps at random, in which `cut` finds no excitation."""
 
 COLUMNS: Mapping[str, tuple[str, float, str]] = {
     "mu": ("mu, rad/s2", 1.0, ".0f"),
@@ -74,8 +68,17 @@ COLUMNS: Mapping[str, tuple[str, float, str]] = {
     "supply": ("supply", 1.0, ".3f"),
 }
 PITCH, RAIL = ("mu", "tau", "w_n", "xi", "coulomb"), ("k_v", "p_v", "coulomb", "supply")
-FIGURES = ("mu", "tau", "w_n", "xi", "k_v", "p_v")
-"""What is compared between flights; along the rail tau is the range's age, not the pitch's delay."""
+COMPARED = (
+    ("mu", ""),
+    ("tau", ""),
+    ("xi", "rings"),
+    ("xi", "free"),
+    ("w_n", "rings"),
+    ("w_n", "free"),
+    ("k_v", ""),
+    ("p_v", ""),
+)
+"""Figures that are compared, between all flights with running rotors or those of one cart."""
 
 
 def real_flights(*folders: Path, kinds: Sequence[str] = ()) -> Iterator[tuple[RealFlight, Estimate]]:
@@ -85,7 +88,7 @@ def real_flights(*folders: Path, kinds: Sequence[str] = ()) -> Iterator[tuple[Re
         if not paths or (kinds and one.kind not in kinds):
             continue
         log = read_log(paths[0])
-        record = cut(log, one.kind, one.window, one.log)
+        record = cut(log, one.kind, name=one.log)
         machine = machine_of(log, record.start, float(record.time[-1]))
         found, _ = by_output_error(one.kind, structure_for(one.kind), [record], machines=[machine])
         assert isinstance(found, Estimate)
@@ -122,10 +125,11 @@ def agreement(found: Sequence[Estimate], figure: str) -> Agreement:
     )
 
 
-def compared(flights: Sequence[tuple[RealFlight, Estimate]], figure: str) -> list[Estimate]:
-    """The fits that tell a figure of the drone with its rotors running."""
+def compared(flights: Sequence[tuple[RealFlight, Estimate]], figure: str, cart: str = "") -> list[Estimate]:
+    """The converged fits that tell a figure of the drone with its rotors running; along the rail tau is the range's."""
     along = figure in ("k_v", "p_v")
-    return [found for one, found in flights if not one.at_rest and (one.kind == "velocity") == along]
+    told = [one for one in flights if one[0].cart != "at rest" and (one[0].kind == "velocity") == along]
+    return [found for one, found in told if found.converged and cart in ("", one.cart)]
 
 
 def table(flights: Sequence[tuple[RealFlight, Estimate]]) -> Iterator[str]:
@@ -136,22 +140,18 @@ def table(flights: Sequence[tuple[RealFlight, Estimate]]) -> Iterator[str]:
         for one, found in flights:
             if one.kind in kinds:
                 cells = [shown(found, name) for name in figures]
-                yield f"| {one.log}{', rotors at rest' if one.at_rest else ''} | {' | '.join(cells)} |"
+                doubt = "" if found.converged else ", did not converge"
+                yield f"| {one.log}, {one.cart}{doubt} | {' | '.join(cells)} |"
         yield ""
     yield "| figure | flights | mean | chi-square | its 99 % point | spread | widest claim / spread |"
     yield f"|{'---|' * 7}"
-    for figure in FIGURES:
-        yield _summary(figure, "", agreement(compared(flights, figure), figure))
-        steady = [one for one in flights if one[0].log != _STEPS]
-        if figure not in RAIL and len(steady) < len(flights):
-            yield _summary(figure, ", without the position steps", agreement(compared(steady, figure), figure))
-
-
-def _summary(figure: str, of: str, found: Agreement) -> str:
-    title, factor, form = COLUMNS[figure]
-    mean, sigma, spread = (f"{factor * one:{form}}" for one in (found.mean, found.sigma, found.spread))
-    cells = [f"{found.n}{of}", f"{mean} +- {sigma}", f"{found.square:.1f}", f"{found.point:.1f}", spread]
-    return f"| {title} | {' | '.join(cells)} | {found.widest / found.spread:.1f} |"
+    for figure, cart in COMPARED:
+        title, factor, form = COLUMNS[figure]
+        all_ = agreement(compared(flights, figure, cart), figure)
+        mean, sigma, spread = (f"{factor * one:{form}}" for one in (all_.mean, all_.sigma, all_.spread))
+        cells = [f"{all_.n}", f"{mean} +- {sigma}", f"{all_.square:.1f}", f"{all_.point:.1f}", spread]
+        named = f"{title} ({cart})" if cart else title
+        yield f"| {named} | {' | '.join(cells)} | {all_.widest / all_.spread:.1f} |"
 
 
 def shown(found: Estimate, unknown: str) -> str:

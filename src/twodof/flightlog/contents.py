@@ -30,6 +30,7 @@ MAX_LISTED = 1000
 _SWEEP_CHANGES = 20
 _SWEEP_HOLD_S = 0.1
 _SWEEP_PAUSE_S = 0.5
+_SWEEP_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,9 @@ def _closed_loop(log: FlightLog, stretch: Stretch) -> DetectedExcitation | None:
     changes = changes[channel.time[changes] > stretch.t0 + _SWEEP_HOLD_S]
     pauses = np.flatnonzero(np.diff(channel.time[changes]) > _SWEEP_PAUSE_S) + 1
     swept = max(np.split(changes, pauses), key=len)
-    if swept.size > _SWEEP_CHANGES and np.median(np.diff(channel.time[swept])) < _SWEEP_HOLD_S:
+    # A set-point that follows the drone, as while it is caught by hand, moves by millimetres.
+    wide = swept.size > 0 and np.ptp(channel.value[swept]) > _SWEEP_SHARE * np.ptp(channel.value)
+    if wide and swept.size > _SWEEP_CHANGES and np.median(np.diff(channel.time[swept])) < _SWEEP_HOLD_S:
         base = float(channel.value[swept[0] - 1])
         farthest = swept[np.argmax(np.abs(channel.value[swept] - base))]
         ends = [

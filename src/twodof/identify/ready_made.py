@@ -44,6 +44,9 @@ flights. A level rail lets the cart slide at .6 deg, which is .1 m/s2, and frict
 BEND_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"bend": (0.0, 1.0)})
 """What a large moment may lack: of the hardest of the real logs, .35, an eighth."""
 
+WAKE_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"wake": (0.0, 4.0)})
+"""Pitch acceleration by the rotors' wake [rad/s2]: level drones held -4 to 6 of it in the real logs."""
+
 FREE = 1e3
 """Play of a cart without rings [m]. Its modelled way drifts by metres in half a minute, and must meet no stop."""
 
@@ -82,9 +85,10 @@ class FlownMachine:
     def estimate(self, structure: Structure) -> tuple[str, ...]:
         """Return the unknowns to estimate in closed loop.
 
-        Of `pitch_on_cart` they include `bend`, and on a free cart `M_u`.
+        Of `pitch_on_cart` they include `bend`, on a free cart `M_u`, and `wake` where it leaves a pitched drone.
         """
-        more = ("bend", *(("M_u",) if self.free else ()))
+        fades = load_rig(self.rig)["wake_fade"] > 0.0
+        more = ("bend", *(("M_u",) if self.free else ()), *(("wake",) if fades else ()))
         return (*structure.estimate, *(name for name in more if name in structure.unknowns))
 
 
@@ -109,7 +113,7 @@ def priors_of(rig: Mapping[str, float] | None, structure: Structure) -> dict[str
     poles = dict(POLES_PRIOR)
     if rig is not None:
         poles = {name: (model_parameters(rig)[f"{name}_run"], poles[name][1]) for name in poles}
-    before = {**poles, **FRICTION_PRIOR, **BEND_PRIOR}
+    before = {**poles, **FRICTION_PRIOR, **BEND_PRIOR, **WAKE_PRIOR}
     return {name: one for name, one in before.items() if name in structure.unknowns}
 
 

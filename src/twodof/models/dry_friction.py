@@ -163,7 +163,8 @@ class CartPush(Block):
     drone meets pitches it by M_u v. The cart follows v' =
     -k_v sin(theta) - p_v v - lever q' - dry friction. Rings stop it `play` either way of where it starts, and a stop
     takes the whole speed. `coulomb` opposes q. The input is the measured pitch, since a simulated one lacks the effect
-    of gusts. A measurement acts on later steps only, so the model holds in closed loop too.
+    of gusts. A measurement acts on later steps only, so the model holds in closed loop too. The rotors' wake pitches a
+    level drone by `wake`, and leaves a pitched one slowly (physics, equation 14a).
     """
 
     inputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
@@ -172,6 +173,7 @@ class CartPush(Block):
         State("x", unit="m"),
         State("v", unit="m/s"),
         State("q", unit="rad/s"),
+        State("gone"),
         State("begun", False, "bool"),
     )
     params = (
@@ -182,17 +184,22 @@ class CartPush(Block):
         Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
         Param("rail_coulomb", 0.0, unit="m/s2", low=0.0, text="dry friction of the rail"),
         Param("coulomb", 0.0, unit="rad/s2", text="dry friction of the bearing"),
+        Param("wake", 0.0, unit="rad/s2", text="pitch acceleration of a level drone by its rotors' wake"),
+        Param("wake_fade", 0.0, unit="1/rad", low=0.0, text="how soon the wake fades with the pitch"),
+        Param("wake_lag", 1.0, unit="s", low=0.01, text="time in which it fades and comes back"),
         Param("M_u", 0.0, unit="rad/(m s)", text="pitch acceleration by a unit of the cart's speed"),
     )
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         _, speed = self._next(u, x, p, t)
         bearing = where(u.q > 0.0, p.coulomb, where(u.q < 0.0, -p.coulomb, 0.0))
-        return -(p.coupling * ((speed - x.v) / t.dt)) + p.M_u * (0.5 * (x.v + speed)) - bearing
+        return -(p.coupling * ((speed - x.v) / t.dt)) + p.M_u * (0.5 * (x.v + speed)) - bearing - p.wake * x.gone
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         place, speed = self._next(u, x, p, t)
-        return {"x": place, "v": speed, "q": u.q, "begun": True}
+        slant = (p.wake_fade * u.theta) * (p.wake_fade * u.theta)
+        gone = x.gone + t.dt / p.wake_lag * (slant / (1.0 + slant) - x.gone)
+        return {"x": place, "v": speed, "q": u.q, "gone": gone, "begun": True}
 
     def _next(self, u: Any, x: Any, p: Any, t: Clock) -> tuple[Any, Any]:
         """Place and speed after this step; the change of q is that since the step before."""

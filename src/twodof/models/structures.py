@@ -126,6 +126,7 @@ def pitch_on_cart(ring: int = 64) -> Structure:
             "play": 1e-4,
             "coupling": 0.1,
             "bend": 0.1,
+            "wake": 1.0,
         },
         sums={"tau": ("dead_time", "lag")},
         delay="dead_time",

@@ -100,4 +100,6 @@ def cart_parameters(rig: Mapping[str, float]) -> dict[str, float]:
         "k_v": velocity_gain(rig),
         "p_v": velocity_damping(rig),
         "rail_coulomb": rig["rail_coulomb"] / mass,
+        "wake_fade": rig["wake_fade"],
+        "wake_lag": rig["wake_lag"],
     }
