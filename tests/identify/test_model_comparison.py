@@ -52,7 +52,7 @@ def test_what_cannot_be_compared_is_refused() -> None:
     for models in ([], [found, found]):
         with pytest.raises(IdentificationError, match="no models, or two"):
             compare(models, record(2))
-    with pytest.raises(IdentificationError, match="no fitted model"):
+    with pytest.raises(IdentificationError, match="not a fitted model"):
         compare({"a": 3}, record(2))  # type: ignore[dict-item]
 
 

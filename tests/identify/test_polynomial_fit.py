@@ -146,7 +146,7 @@ def test_feedback_and_offsets_are_named() -> None:
     ("model", "reason"),
     [
         ("arx:2,2,-1", "the order -1"),
-        ("arx:2,x,1", "'x' is no order"),
+        ("arx:2,x,1", "'x' is not an order"),
         ("arx:2", "no model is called"),
         ("arx:2,0,1", "without an effect"),
         ("arx:2,2/1,1", "do not fit the inputs"),

@@ -259,7 +259,8 @@ def identify(
             if reference is not None:
                 records = [with_reference(records[0], files[0], {}, reference), *records[1:]]
             _draw(found, shape, records, plot, force, reference)
-    _say(found, about, out, json, converged)
+    matrices = {} if simple or not (out or json) else _linear(found, records[0])
+    _say(found, {**about, **matrices}, out, json, converged)
     exit_unless(converged)
 
 
@@ -304,7 +305,7 @@ def _columns(
     return NamedColumns.of(model, inputs, outputs) if is_named(model) else structure_for("", model)
 
 
-def _linear(found: Estimate | Repeated, record: Record) -> dict[str, Any]:
+def _linear(found: object, record: Record) -> dict[str, Any]:
     """Return the model's matrices for commands that close a loop around it; none where it has no linear form."""
     if not isinstance(found, Estimate):
         return {}

@@ -4,6 +4,7 @@ from twodof.design.cascade import CascadeDesign, cascade_design, cascade_hinf
 from twodof.design.closed_loop_poles import Motion, closed_loop_poles, root_locus
 from twodof.design.loop_transfer import LoopTransfer
 from twodof.design.margins import GainCrossing, LoopMargins, PhaseCrossing, margins
+from twodof.design.own_loop import own_loop, read_rational, step_response
 from twodof.design.pid import PidGains, pid, shaped_pid
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import Promise, promise
@@ -39,15 +40,18 @@ __all__ = [
     "lqg_attitude",
     "lqi",
     "margins",
+    "own_loop",
     "pid",
     "placed_attitude",
     "pole_placement",
     "promise",
+    "read_rational",
     "read_specification",
     "robustness",
     "root_locus",
     "saturated_step",
     "shaped_pid",
+    "step_response",
     "structured_hinf",
     "tuning_preview",
 ]

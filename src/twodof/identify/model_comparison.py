@@ -86,7 +86,7 @@ def _outputs(found: Estimate, record: Record) -> dict[str, tuple[Array, Array, i
     """Return simulation, one-step prediction and first sample by output."""
     model = found.model if isinstance(found, Estimate) else None
     if model is None:
-        raise IdentificationError(f"{shown(found)} is no fitted model", "compare", "give results of `fit`")
+        raise IdentificationError(f"{shown(found)} is not a fitted model", "compare", "give results of `fit`")
     if isinstance(model, PolynomialModel):
         return {model.output: predict_polynomial(model, found.values, record)}
     free = record.steps if any(name.endswith("_0") for name in model.local) else None

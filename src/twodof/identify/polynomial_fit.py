@@ -113,7 +113,7 @@ def fit_polynomial(model: PolynomialModel, records: Sequence[Record], validation
 
 
 def predict_polynomial(model: PolynomialModel, theta: Array, record: Record) -> tuple[Array, Array, int]:
-    """Return simulation and one-step prediction, shape (steps,), and the number of first samples that have none.
+    """Return simulation and one-step prediction, shape (steps,), and the number of first samples without one.
 
     The free responses at the record's start are those that fit it best. An unstable model is not simulated: its
     prediction stands for both.

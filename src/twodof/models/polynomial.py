@@ -30,7 +30,7 @@ class PolynomialModel:
     """Orders of a model of one output; nb, nf and nk (the delay in samples) have a number for each input.
 
     A = 1 + a1 q^-1 + ... + a_na q^-na, C, D and F_i likewise. B_i = b1 q^-nk + ... + b_nb q^-(nk + nb - 1). Raises
-    IdentificationError for orders that are no whole numbers from 0 to `MOST`, and for a model without unknowns.
+    IdentificationError for orders that are not whole numbers from 0 to `MOST`, and for a model without unknowns.
     """
 
     kind: str
@@ -223,5 +223,5 @@ def orders_of(text: str, name: str) -> Any:
     try:
         numbers = [int(one) for one in text.split("/")]
     except ValueError as error:
-        raise IdentificationError(f"{shown(text)} is no order", name, f"write {', '.join(FORMS)}") from error
+        raise IdentificationError(f"{shown(text)} is not an order", name, f"write {', '.join(FORMS)}") from error
     return numbers if len(numbers) > 1 else numbers[0]

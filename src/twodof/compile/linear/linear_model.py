@@ -90,6 +90,20 @@ class LinearModel:
             self.a, self.b, self.c, self.d, dt, **named, name=self.name, remove_useless_states=False
         )
 
+    @classmethod
+    def from_json(cls, document: Any, where: str) -> Self:
+        """Return the model of `to_json`, without its point. Raises CompileError for anything else."""
+        try:
+            a, b, c, d = (np.array(document[key], dtype=float) for key in "ABCD")
+            names = [tuple(map(str, document[key])) for key in ("states", "inputs", "outputs")]
+            n, m, p = map(len, names)
+            # An empty matrix has lost its shape.
+            a, b, c, d = a.reshape(n, n), b.reshape(n, m), c.reshape(p, n), d.reshape(p, m)
+            dt = None if document["dt"] is None else float(document["dt"])
+        except (TypeError, KeyError, ValueError) as error:
+            raise CompileError("it holds no linear model", where, "write it with `twodof identify --out`") from error
+        return cls(a, b, c, d, dt, names[0], names[1], names[2], name=str(document.get("name", "model")))
+
     def to_json(self) -> dict[str, Any]:
         """Return plain data: names, point, matrices as lists of rows and poles as [real, imaginary]."""
         return {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twodof.design import LoopMargins, LoopTransfer, margins, root_locus
 from twodof.design.margins import bode_at
-from twodof.models.lti import DelayedStateSpace
+from twodof.design.own_loop import DELAY_STEPS, held, speed_of, step_response
 from twodof.report.plots.canvas import Colours, write_figure
 
 Array = NDArray[np.float64]
@@ -21,124 +21,161 @@ Array = NDArray[np.float64]
 _COLOURS = ("ink", "grey-box", "input", "simple", "paper", "measured", "bad")
 _POINTS = 1500
 _DPI = 130
-_STEP_S, _STEPS = 12.0, 4000  # of the step response: the longest time, and the most samples
+_FEW = 12
+_BLOT = 0.06  # poles this near to 0, in heights of the root locus, have a frame of their own
 _GAINS = np.concatenate([[0.0], np.geomspace(0.02, 20.0, 600)])
 _DAMPING = (0.2, 0.4, 0.6, 0.8)
 _SPEED = 4.0  # range of the root locus, in crossovers
 
 
+PANELS = {
+    "all": [["gain", "nyquist", "sensitivity"], ["phase", "nichols", "step"]],
+    "bode": [["gain"], ["phase"]],
+    "step": [["step"]],
+    "rlocus": [["locus"]],
+}
+"""Panels of each picture, row by row; of one loop alone "all" has its root locus too."""
+
+_SIZES = {"all": (13.0, 8.2), "bode": (8.0, 6.4), "step": (8.0, 4.4), "rlocus": (7.2, 7.2)}
+
+
 def write_loop_plot(
-    loops: Mapping[str, LoopTransfer], path: str | Path, title: str = "", overwrite: bool = False
+    loops: Mapping[str, LoopTransfer], path: str | Path, title: str = "", overwrite: bool = False, picture: str = "all"
 ) -> None:
-    """Draw the loops into a .png, .svg or .pdf file, whole or not at all. Raises LogError as `write_figure`."""
-    write_figure(path, overwrite, title, _DPI, lambda colours: _drawn(loops, title, colours))
+    """Draw the loops into a .png, .svg or .pdf file, whole or not at all; `picture` is a name of `PANELS`.
+
+    A root locus is of one loop: the first. Raises LogError as `write_figure`.
+    """
+    write_figure(path, overwrite, title, _DPI, lambda colours: _drawn(loops, title, picture, colours))
 
 
-def _drawn(loops: Mapping[str, LoopTransfer], title: str, colours: Colours) -> Canvas:
-    # One loop alone has room for its root locus: of several nobody could tell the branches apart.
-    alone = len(loops) == 1 and not next(iter(loops.values())).delay
-    canvas = Canvas(figsize=(18.0 if alone else 13.0, 8.2), layout="constrained")
-    kinds = [["gain", "nyquist", "sensitivity"], ["phase", "nichols", "step"]]
-    mosaic: list[Any] = [[*row, "locus"] for row in kinds] if alone else list(kinds)
-    panels = canvas.subplot_mosaic(mosaic)
-    axes = [[panels[kind] for kind in row] for row in kinds]
-    gain, nyquist, sensitivity = axes[0]
-    phase, nichols, step = axes[1]
+def _drawn(loops: Mapping[str, LoopTransfer], title: str, picture: str, colours: Colours) -> Canvas:
+    mosaic: Any = PANELS[picture]
+    width, height = _SIZES[picture]
+    if picture == "all" and len(loops) == 1:  # of several nobody could tell the branches apart
+        mosaic, width = [[*row, "locus"] for row in mosaic], 18.0
+    canvas = Canvas(figsize=(width, height), layout="constrained")
+    panels: dict[str, Axes] = canvas.subplot_mosaic(mosaic)
     found = {name: margins(loop) for name, loop in loops.items()}
     low, high = _span(found)
     for (name, m), colour in zip(found.items(), (colours[c] for c in _COLOURS * len(found)), strict=False):
         end = high if m.loop.dt is None else min(high, math.pi / m.loop.dt)
-        omega, size, angle = bode_at(m, np.geomspace(low, end, _POINTS))
-        response = m.loop.response(omega)
-        angle = np.degrees(angle)
+        omega, size, phase = bode_at(m, np.geomspace(low, end, _POINTS))
+        response, angle = m.loop.response(omega), np.degrees(phase)
         label = name if m.stable else f"{name} (unstable)"
-        gain.semilogx(omega, size, color=colour, label=label)
-        phase.semilogx(omega, angle, color=colour)
-        nyquist.plot(response.real, response.imag, color=colour)
-        nichols.plot(angle, size, color=colour)
-        one = 1.0 / (1.0 + response)
-        sensitivity.loglog(omega, np.abs(one), color=colour)
-        sensitivity.loglog(omega, np.abs(1.0 - one), color=colour, linestyle=(0, (4, 2)))
-        if m.phases:
-            for ax, x, y in ((gain, m.crossover, 0.0), (phase, m.crossover, -180.0 + m.phase_margin_deg)):
-                ax.plot([x], [y], "o", color=colour, markersize=4.5)
-            nichols.plot([-180.0 + m.phase_margin_deg], [0.0], "o", color=colour, markersize=4.5)
-        if m.stable:
+        if "gain" in panels:
+            panels["gain"].semilogx(omega, size, color=colour, label=label)
+            panels["phase"].semilogx(omega, angle, color=colour)
+            draw_margins(panels["gain"], panels["phase"], m, colour, labelled=len(found) == 1)
+        if "nyquist" in panels:
+            panels["nyquist"].plot(response.real, response.imag, color=colour)
+            panels["nichols"].plot(angle, size, color=colour)
+            one = 1.0 / (1.0 + response)
+            panels["sensitivity"].loglog(omega, np.abs(one), color=colour)
+            panels["sensitivity"].loglog(omega, np.abs(1.0 - one), color=colour, linestyle=(0, (4, 2)))
+            if m.phases:
+                panels["nichols"].plot([-180.0 + m.phase_margin_deg], [0.0], "o", color=colour, markersize=4.5)
+        if m.stable and "step" in panels:
             time, values = step_response(m)
-            step.semilogx(time[1:], values[1:], color=colour)
-    _finish(axes, colours, low, high)
-    if alone:
+            panels["step"].plot(time, values, color=colour, label=name)
+    _finish(panels, colours, low, high)
+    if "locus" in panels:
         draw_root_locus(panels["locus"], next(iter(found.values())), colours)
-    gain.legend(loc="lower left")
+    for name in ("gain", "step"):
+        if name in panels and (name == "gain" or picture == "step") and (len(found) > 1 or picture == "all"):
+            panels[name].legend(loc="lower left" if name == "gain" else "lower right")
     if title:
         canvas.suptitle(title, x=0.01, ha="left", fontsize=12, color=colours["ink"])
     return canvas
 
 
 def _span(found: Mapping[str, LoopMargins]) -> tuple[float, float]:
-    places = [m.crossover for m in found.values() if m.phases] or [1.0]
-    return 0.05 * min(places), max(30.0 * max(places), 100.0)
+    """Return the range of frequencies: around the crossovers and the frequencies of the gain margins."""
+    places = [m.crossover for m in found.values() if m.phases]
+    places += [g.omega for m in found.values() for g in (m.increase,) if g is not None and 0.0 < g.omega < math.inf]
+    places = places or [speed_of(m) for m in found.values()]
+    ends = [math.inf if m.loop.dt is None else math.pi / m.loop.dt for m in found.values()]
+    return 0.03 * min(places), min(30.0 * max(places), max(ends))
 
 
-def step_response(m: LoopMargins) -> tuple[Array, Array]:
-    """Return (time [s], value) of T after a unit step: how the loop follows its set-point.
+def draw_margins(gain: Axes, phase: Axes, m: LoopMargins, colour: str, labelled: bool = True) -> None:
+    """Mark gain margins from 0 dB, and the phase margin from -180 deg, each at its frequency, with their sizes."""
+    line: Any = {"color": colour, "linewidth": 2.4, "solid_capstyle": "butt", "alpha": 0.55}
+    thin: Any = {"color": colour, "linewidth": 0.8, "linestyle": (0, (2, 2))}
+    box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.0}
+    text: Any = {"textcoords": "offset points", "fontsize": 8.5, "color": colour, "va": "center", "bbox": box}
+    text["xytext"] = (6, 0)
+    for crossing in (m.increase, m.decrease):
+        if crossing is None or not 0.0 < crossing.omega < math.inf:
+            continue
+        at, size = crossing.omega, -20.0 * math.log10(crossing.factor)
+        gain.plot([at, at], [0.0, size], **line)
+        gain.plot([at], [size], "o", color=colour, markersize=4.5)
+        phase.axvline(at, **thin)
+        if labelled:
+            gain.annotate(f"{-size:.1f} dB at {at:.3g} rad/s", (at, 0.5 * size), **text)
+    if m.phases:
+        at, angle = m.crossover, -180.0 + m.phase_margin_deg
+        phase.plot([at, at], [-180.0, angle], **line)
+        phase.plot([at], [angle], "o", color=colour, markersize=4.5)
+        gain.plot([at], [0.0], "o", color=colour, markersize=4.5)
+        gain.axvline(at, **thin)
+        if labelled:
+            text |= {"xytext": (-6, 0), "ha": "right"}
+            phase.annotate(f"{m.phase_margin_deg:.1f} deg at {at:.3g} rad/s", (at, 0.5 * (angle - 180.0)), **text)
 
-    A continuous loop is sampled at a hundredth of its crossover's period.
-    """
-    loop = m.loop
-    speed = m.crossover if m.phases else 1.0
-    end = min(_STEP_S, 25.0 / speed)
-    if loop.dt is None:
-        dt = max(0.06 / speed, end / _STEPS)
-        from_continuous = _sampled(loop, dt)
-    else:
-        dt, from_continuous = loop.dt, loop
-    steps = max(2, min(_STEPS, round(end / dt)))
-    x, values = np.zeros(len(from_continuous.a)), np.empty(steps)
-    b, c, d = from_continuous.b[:, 0], from_continuous.c[0], from_continuous.d
-    for k in range(steps):
-        values[k] = (c @ x + d) / (1.0 + d)
-        x = from_continuous.a @ x + b * (1.0 - values[k])
-    return np.asarray(dt * np.arange(steps)), values
 
-
-def _sampled(loop: LoopTransfer, dt: float) -> LoopTransfer:
-    model = DelayedStateSpace.of(loop.a, loop.b, loop.c, [[loop.d]], loop.delay)
-    return LoopTransfer.of(model.zero_order_hold(dt))
-
-
-def _finish(axes: Any, colours: Colours, low: float, high: float) -> None:
-    gain, nyquist, sensitivity = axes[0]
-    phase, nichols, step = axes[1]
+def _finish(panels: Mapping[str, Axes], colours: Colours, low: float, high: float) -> None:
     soft: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8}
     range_ = {"xlabel": "frequency [rad/s]", "xlim": (low, high)}
-    turns = range(-360, 31, 90)
-    # Axes, title, settings, and the height of a line, if there is one.
-    rows: tuple[tuple[Axes, str, dict[str, Any], float | None], ...] = (
-        (gain, "Bode: |L| [dB]", {**range_, "ylim": (-60.0, 60.0)}, 0.0),
-        (phase, "Bode: phase of L [deg]", {**range_, "ylim": (-400.0, 30.0), "yticks": turns}, -180.0),
-        (nyquist, "Nyquist: imaginary part of L", {"xlabel": "real part of L", "ylim": (-2.0, 2.0)}, None),
-        (nichols, "Nichols: |L| [dB]", {"xlabel": "phase of L [deg]", "ylim": (-40.0, 40.0), "xticks": turns}, None),
-        (sensitivity, "|S| solid, |T| dashed", {**range_, "ylim": (0.01, 10.0)}, 1.0),
-        (step, "step response of T", {"xlabel": "time after the step [s]"}, 1.0),
+    # Panel, title, settings, and the height of a line, if there is one.
+    rows: tuple[tuple[str, str, dict[str, Any], float | None], ...] = (
+        ("gain", "Bode: |L| [dB]", range_, 0.0),
+        ("phase", "Bode: phase of L [deg]", range_, -180.0),
+        ("nyquist", "Nyquist: imaginary part of L", {"xlabel": "real part of L", "ylim": (-2.0, 2.0)}, None),
+        (
+            "nichols",
+            "Nichols: |L| [dB]",
+            {"xlabel": "phase of L [deg]", "ylim": (-40.0, 40.0), "xticks": range(-360, 31, 90)},
+            None,
+        ),
+        ("sensitivity", "|S| solid, |T| dashed", {**range_, "ylim": (0.01, 10.0)}, 1.0),
+        ("step", "step response of T", {"xlabel": "time after the step [s]"}, 1.0),
     )
-    cross: dict[str, Any] = {"color": colours["bad"], "markersize": 11, "markeredgewidth": 1.6}
-    for ax, title, settings, line in rows:
-        ax.set_title(title, loc="left", fontsize=10)
-        ax.set(**settings)
-        ax.grid(visible=True)
-        if line is not None:
-            ax.axhline(line, **soft)
-    for axis in (gain.xaxis, phase.xaxis, sensitivity.xaxis, sensitivity.yaxis, step.xaxis):
+    for name, title, settings, line in rows:
+        if name in panels:
+            ax = panels[name]
+            ax.set_title(title, loc="left", fontsize=10)
+            ax.set(**settings)
+            ax.grid(visible=True)
+            if line is not None:
+                ax.axhline(line, **soft)
+    if "gain" in panels:
+        _in_steps(panels["gain"], 20.0, -100.0, 80.0)
+        _in_steps(panels["phase"], 90.0, -450.0, 180.0)
+    scales = [panels[name].xaxis for name in ("gain", "phase", "sensitivity") if name in panels]
+    for axis in (*scales, *([panels["sensitivity"].yaxis] if "sensitivity" in panels else [])):
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    _circle(nyquist, 0.0, 1.0, soft)
-    nyquist.plot([-1.0], [0.0], "+", **cross)
-    nyquist.set_xlim(-2.9, 1.8)
-    nyquist.set_aspect("equal", adjustable="box")
-    nichols.plot([-180.0], [0.0], "+", **cross)
-    for peak, below in ((3.0, True), (6.0, False)):
-        _sensitivity_contour(nichols, peak, below, soft)
-    nichols.set_xlim(-360.0, 0.0)
+    if "step" in panels:
+        panels["step"].set_xlim(left=0.0)
+    if "nyquist" in panels:
+        nyquist, nichols = panels["nyquist"], panels["nichols"]
+        cross: dict[str, Any] = {"color": colours["bad"], "markersize": 11, "markeredgewidth": 1.6}
+        _circle(nyquist, 0.0, 1.0, soft)
+        nyquist.plot([-1.0], [0.0], "+", **cross)
+        nyquist.set_xlim(-2.9, 1.8)
+        nyquist.set_aspect("equal", adjustable="box")
+        nichols.plot([-180.0], [0.0], "+", **cross)
+        for peak, below in ((3.0, True), (6.0, False)):
+            _sensitivity_contour(nichols, peak, below, soft)
+        nichols.set_xlim(-360.0, 0.0)
+
+
+def _in_steps(ax: Axes, step: float, least: float, most: float) -> None:
+    """Let the axis reach from one whole step to another around the curves, within limits."""
+    low, high = ax.dataLim.intervaly
+    low, high = max(least, step * math.floor(low / step)), min(most, step * math.ceil(high / step))
+    ax.set(ylim=(low, high), yticks=np.arange(low, high + 0.5 * step, step * max(1, round((high - low) / step / 8))))
 
 
 def _circle(ax: Axes, centre: float, radius: float, look: Mapping[str, Any]) -> None:
@@ -161,26 +198,21 @@ def _sensitivity_contour(ax: Axes, peak: float, below: bool, look: Mapping[str, 
 def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
     """Draw the poles for .02 to 20 times the gain, those of the loop itself, and lines of equal damping.
 
-    A sampled loop's poles are drawn as z = e^(sT), so the axes are those of the s plane [rad/s] for both.
+    A sampled loop's poles are drawn as z = e^(sT), so the axes are those of the s plane [rad/s] for both. A continuous
+    delay is sampled, finely. Poles that would be a blot at 0 have a frame of their own.
     """
-    z = root_locus(found.loop, _GAINS)
-    dt = found.loop.dt
+    loop = found.loop
+    if loop.delay:
+        loop = held(loop, max(0.01 / speed_of(found), loop.delay / DELAY_STEPS))
+    # Few states cost little: more gains draw a branch sharply where it leaves the real axis.
+    gains = _GAINS if len(loop.a) > _FEW else np.append(0.0, np.geomspace(0.02, 20.0, 4000))
+    z, dt = root_locus(loop, gains), loop.dt
     # A pole at z = 0, of a delay, has no place in the s plane.
     branches = z if dt is None else np.log(np.where(z == 0.0, np.nan, z)) / dt
-    reach = _SPEED * (found.crossover if found.phases else 1.0)
-    if dt is not None:
-        reach = min(reach, math.pi / dt)
-    # Where a branch jumps, from the upper half to the lower one, the line is broken.
-    jump = np.abs(np.diff(branches, axis=0)) > 0.5 * reach
-    lines = branches.copy()
-    lines[1:][jump] = np.nan
-    for j in range(lines.shape[1]):
-        ax.plot(lines[:, j].real, lines[:, j].imag, color=colours["input"], linewidth=1.3)
-    ax.plot(branches[0].real, branches[0].imag, "x", color=colours["soft"], markersize=6, label="open loop")
-    now = found.poles_rad
-    ax.plot(now.real, now.imag, "s", color=colours["ink"], markersize=4.5, label="closed loop")
+    reach = _reach(found, branches)
+    _draw_branches(ax, found, branches, reach, colours)
     for crossing in (found.increase, found.decrease):
-        if crossing is not None and 0.0 < crossing.omega < reach:
+        if crossing is not None and 0.1 * reach < crossing.omega < reach:
             ax.plot([0.0, 0.0], [crossing.omega, -crossing.omega], "o", color=colours["bad"], markersize=5)
             beside: Any = {"xytext": (6, 0), "textcoords": "offset points", "fontsize": 8, "va": "center"}
             says = f"{crossing.factor:.2g} x the gain"
@@ -192,11 +224,42 @@ def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
         ax.plot([-far, 0.0, -far], [far * slope, 0.0, -far * slope], **soft)
         x = min(0.93, 0.93 / slope) * reach
         ax.annotate(f"{damping:g}", (-x, x * slope), fontsize=8, color=colours["soft"], ha="right", va="bottom")
-    ax.axvline(0.0, color=colours["soft"], linewidth=0.8)
-    ax.axhline(0.0, color=colours["soft"], linewidth=0.8)
-    ax.set(xlim=(-reach, 0.5 * reach), ylim=(-reach, reach), xlabel="real part [1/s]")
-    ax.set_aspect("equal", adjustable="box")
+    ax.set_xlabel("real part [1/s]")
     ax.set_title("root locus [rad/s], lines of equal damping", loc="left", fontsize=10)
-    ax.grid(visible=True)
     # Between the real axis and the branches that leave to the right.
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.28))
+    sizes = np.abs(np.concatenate([branches[0], found.poles_rad]))
+    slow = sizes[(sizes > 1e-6 * reach) & (sizes < _BLOT * reach)]
+    if slow.size > 2:
+        inset = ax.inset_axes((0.09, 0.05, 0.34, 0.34))
+        _draw_branches(inset, found, branches, 1.6 * float(slow.max()), colours)
+        inset.tick_params(labelsize=7)
+        inset.set_title("around 0", loc="left", fontsize=8)
+
+
+def _reach(found: LoopMargins, branches: Any) -> float:
+    """Return half the height of the frame: it holds crossover, margins and the closed loop's slower poles."""
+    speed = speed_of(found)
+    places = [speed, *(g.omega for g in (found.increase,) if g is not None and 0.0 < g.omega < math.inf)]
+    near = np.abs(np.concatenate([branches[0], found.poles_rad]))
+    places += near[np.isfinite(near) & (near < _SPEED * speed)].tolist()
+    reach = 1.3 * max(places)
+    return reach if found.loop.dt is None else min(reach, math.pi / found.loop.dt)
+
+
+def _draw_branches(ax: Axes, found: LoopMargins, branches: Any, reach: float, colours: Colours) -> None:
+    """Draw branches and poles in a frame from -`reach` to half of it, and the axes through 0."""
+    # Where a branch jumps, from the upper half to the lower one, the line is broken.
+    jump = np.abs(np.diff(branches, axis=0)) > 0.5 * reach
+    lines = branches.copy()
+    lines[1:][jump] = np.nan
+    for j in range(lines.shape[1]):
+        ax.plot(lines[:, j].real, lines[:, j].imag, color=colours["input"], linewidth=1.3)
+    ax.plot(branches[0].real, branches[0].imag, "x", color=colours["soft"], markersize=6, label="open loop")
+    now = found.poles_rad
+    ax.plot(now.real, now.imag, "s", color=colours["ink"], markersize=4.5, label="closed loop")
+    ax.axvline(0.0, color=colours["soft"], linewidth=0.8)
+    ax.axhline(0.0, color=colours["soft"], linewidth=0.8)
+    ax.set(xlim=(-reach, 0.5 * reach), ylim=(-reach, reach))
+    ax.set_aspect("equal", adjustable="box")
+    ax.grid(visible=True)

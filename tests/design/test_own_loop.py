@@ -1,0 +1,115 @@
+"""Loops of one's own: transfer functions as written, sampled as python-control does, with figures of the textbook."""
+
+import math
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twodof.design import LoopTransfer, margins, own_loop, read_rational, step_response
+from twodof.errors import ParameterError
+
+pytestmark = pytest.mark.slow
+
+
+def written(text: str, period: float | None = None) -> LoopTransfer:
+    return read_rational(text).transfer("test", period)
+
+
+@pytest.mark.parametrize(
+    ("text", "top", "bottom", "delay"),
+    [
+        ("2 exp(-0.3 s) / (1.5 s + 1)", [2.0], [1.5, 1.0], 0.3),
+        ("3 + 1/s", [3.0, 1.0], [1.0, 0.0], 0.0),
+        ("2(s+1)(s+2)/s^3", [2.0, 6.0, 4.0], [1.0, 0.0, 0.0, 0.0], 0.0),
+        ("-s/(0.01s + 1)", [-1.0, 0.0], [0.01, 1.0], 0.0),
+        ("1e-3 / (s + 1e3)", [1e-3], [1.0, 1e3], 0.0),
+        ("0.1 z / (z - .9)", [0.1, 0.0], [1.0, -0.9], 0.0),
+        ("1 - 1", [0.0], [1.0], 0.0),
+    ],
+)
+def test_a_transfer_function_is_read_as_written(text: str, top: list[float], bottom: list[float], delay: float) -> None:
+    found = read_rational(text)
+    assert found.top.tolist() == pytest.approx(top)
+    assert found.bottom.tolist() == pytest.approx(bottom)
+    assert found.delay == delay
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "__import__('os')",
+        "s^99",
+        "1/0",
+        "s z",
+        "x",
+        "exp(s)",
+        "1/(s+1) + exp(-s)",
+        "1j",
+        "s**-1",
+        "(" * 300,
+        "9" * 500,
+    ],
+)
+def test_anything_else_is_refused(text: str) -> None:
+    with pytest.raises(ParameterError):
+        read_rational(text)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    gain=st.floats(0.05, 5.0),
+    lags=st.lists(st.floats(0.05, 5.0), min_size=1, max_size=3),
+    kp=st.floats(0.1, 5.0),
+    ki=st.floats(0.01, 3.0),
+    period=st.floats(0.01, 0.5),
+)
+def test_the_response_is_that_of_python_control(
+    gain: float, lags: list[float], kp: float, ki: float, period: float
+) -> None:
+    plant = written(f"{gain!r} / (" + " * ".join(f"({lag!r} s + 1)" for lag in lags) + ")")
+    law = written(f"{kp!r} + {ki!r} / s")
+    s = control.tf("s")
+    theirs, controller = control.tf([gain], [1.0]), kp + ki / s
+    for lag in lags:
+        theirs = theirs / (lag * s + 1)
+    omega = np.geomspace(0.01, 0.9 * math.pi / period, 30)
+    assert own_loop(plant, law).response(omega) == pytest.approx((controller * theirs)(1j * omega), rel=1e-9)
+    z = np.exp(1j * omega * period)
+    held = control.sample_system(control.ss(theirs), period, "zoh")(z)
+    rule = control.sample_system(control.ss(controller), period, "bilinear")(z)
+    assert own_loop(plant, law, period).response(omega) == pytest.approx(held * rule, rel=1e-6)
+
+
+def test_margins_of_an_integrator_with_dead_time_are_those_in_closed_form() -> None:
+    # The controller cancels the lag: L = 2 exp(-.3 s) / s.
+    found = margins(own_loop(written("2 exp(-0.3 s) / (1.5 s + 1)"), written("1.5 + 1 / s")))
+    assert found.crossover == pytest.approx(2.0)
+    assert found.phase_margin == pytest.approx(math.pi / 2.0 - 0.6)
+    assert found.gain_margin == pytest.approx(math.pi / 2.0 / 0.3 / 2.0)
+
+
+@pytest.mark.parametrize("period", [None, 0.02])
+def test_step_of_a_closed_loop_is_that_in_closed_form(period: float | None) -> None:
+    # L = 4 / (s (s + 1.2)): w_n is 2, zeta is .3.
+    found = margins(own_loop(written("4 / (s (s + 1.2))"), written("1"), period))
+    time, value = step_response(found)
+    root = math.sqrt(1.0 - 0.3**2)
+    swing = np.exp(-0.6 * time) * (np.cos(2.0 * root * time) + 0.3 / root * np.sin(2.0 * root * time))
+    # Sampled, the loop is late by half a step: .01 s of the largest slope, 1.3 1/s, and swings more by as much.
+    assert value == pytest.approx(1.0 - swing, abs=1e-9 if period is None else 0.04)
+    assert abs(value[-1] - 1.0) < 0.02
+
+
+def test_what_does_not_fit_together_is_refused() -> None:
+    with pytest.raises(ParameterError, match="no sample time"):
+        written("1 / (z - 1)")
+    with pytest.raises(ParameterError, match="more zeros than poles"):
+        written("s + 1")
+    with pytest.raises(ParameterError, match=r"sample times of 0.1, 0.2 s"):
+        own_loop(written("1 / (z - 1)", 0.1), written("z / (z - 1)", 0.2))
+    with pytest.raises(ParameterError, match="continuous delay"):
+        own_loop(written("1 / (z - 1)", 0.1), written("exp(-s) / (s + 1)"))
