@@ -118,6 +118,46 @@ def test_a_filter_is_that_of_scipy(tmp_path: Path, kind: str) -> None:
     assert np.allclose(found["y"], lfilter(top, [2.0, -1.0, 0.3], DRAWN[0]), rtol=1e-12, atol=1e-14)
 
 
+def test_a_discrete_pid_follows_mathworks_order_of_operations(tmp_path: Path) -> None:
+    values = {"SourceBlock": "slpidlib/PID Controller", "TimeDomain": "Discrete-time", "P": "2", "I": ".7", "D": ".05",
+              "N": "40", "LimitOutput": "on", "UpperSaturationLimit": "1.5", "LowerSaturationLimit": "-1",
+              "AntiWindupMode": "back-calculation", "Kb": "3"}  # fmt: skip
+    found = flown(one_block(tmp_path, "Reference", values), {"u1": DRAWN[0]})
+    integral = filtered = 0.0
+    wanted = []
+    for u in DRAWN[0]:
+        slope = (0.05 * u - filtered) * 40.0
+        y = (2.0 * u + integral) + slope
+        limited = min(max(y, -1.0), 1.5)
+        wanted.append(limited)
+        integral += DT * ((limited - y) * 3.0 + 0.7 * u)
+        filtered += DT * slope
+    assert np.array_equal(found["y"], wanted)
+
+
+def test_a_variant_is_its_active_choice(tmp_path: Path) -> None:
+    inner = [("Inport", "in", {}), ("Gain", "k", {"Gain": "3"}), ("Outport", "out", {})]
+    choices = ""
+    for number, gain in ((1, 3), (2, 5)):
+        sheet = model([*inner[:1], ("Gain", "k", {"Gain": str(gain)}), inner[2]], [("in", "k"), ("k", "out")])
+        system = sheet["simulink/blockdiagram.xml"].partition("<Model>")[2].partition("</Model>")[0]
+        control = f'<P Name="VariantControl">MODE == {number}</P>'
+        choices += f'<Block BlockType="SubSystem" Name="choice {number}" SID="1{number}">{control}{system}</Block>'
+    ports = '<Block BlockType="Inport" Name="in" SID="21"/><Block BlockType="Outport" Name="out" SID="22"/>'
+    variant = f'<P Name="Variant">on</P><P Name="Ports">[1, 1]</P><System>{ports}{choices}</System>'
+    files = model(
+        [("Inport", "u", {}), ("SubSystem", "gain", {}), ("Outport", "y", {})], [("u", "gain"), ("gain", "y")]
+    )
+    name = "simulink/blockdiagram.xml"
+    files[name] = files[name].replace('Name="gain" SID="2">', f'Name="gain" SID="2">{variant}')
+    read = read_model(slx(files, tmp_path / "m.slx"))
+    for mode, factor in ((1, 3.0), (2, 5.0)):
+        found = import_system(read, "", {"MODE": np.array([[float(mode)]])}, dt=DT)
+        assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], factor * DRAWN[0])
+    (refused,) = [line for line in import_system(read, dt=DT).refused if line.path == "gain"]
+    assert "MODE has no value" in refused.why
+
+
 def test_vectors_are_joined_split_and_expanded(tmp_path: Path) -> None:
     blocks = [
         ("Inport", "u", {"OutDataTypeStr": "double", "PortDimensions": "3"}),
@@ -164,11 +204,21 @@ def test_what_is_not_translated_is_refused_by_path_and_parameter_all_at_once(tmp
     lines = [("u", "sum of q"), ("sum of q", "y"), ("u", "k")]
     found = import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT)
     assert found.diagram is None
+    assert [(line.path, line.status) for line in found.report if line.status == "not reached"] == []
     assert {(line.path, line.why) for line in found.refused} == {
         ("sum of q", "ExternalReset = 'rising' is not translated"),
         ("k", "parameter Gain: 1/m: m has no value"),
         ("field", "the block type IGRF is not translated"),
     }
+
+
+def test_a_port_is_as_wide_as_what_splits_it(tmp_path: Path) -> None:
+    blocks = [("Inport", "rates", {}), ("Demux", "split", {"Outputs": "3", "Ports": "[1, 3]"}), ("Outport", "q", {})]
+    found = import_system(
+        read_model(slx(model(blocks, [("rates", "split"), ("split:2", "q")]), tmp_path / "m.slx")), dt=DT
+    )
+    assert np.array_equal(flown(found, {"rates": DRAWN.T.copy()})["q"], DRAWN[1])
+    assert "taken for a vector of 3 doubles" in next(line.why for line in found.report if line.path == "rates")
 
 
 def test_names_come_from_scripts_and_mat_files_and_masks_shadow_them(tmp_path: Path) -> None:

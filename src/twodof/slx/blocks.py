@@ -292,6 +292,73 @@ def _discrete_derivative(c: Asked) -> Made:
     return _same(c, d)  # type: ignore[arg-type]
 
 
+def _pid(c: Asked) -> Made:
+    """Compute y = (P u + integral) + N (D u - filter state), or P times that in ideal form; in MathWorks' order."""
+    c.kind("real")
+    if c.width is not None:
+        raise Refused("a PID of a vector is not translated")
+    kind = c.pick("Controller", "PID", {name: name for name in ("PID", "PI", "PD", "P", "I")})
+    continuous = c.needs("TimeDomain", "Continuous-time", "Continuous-time", "Discrete-time") == "Continuous-time"
+    ideal = c.needs("Form", "Parallel", "Parallel", "Ideal") == "Ideal"
+    for name, default in (("ExternalReset", "none"), ("InitialConditionSource", "internal")):
+        c.needs(name, default, default)
+    c.needs("TrackingMode", "off", "off")
+    c.needs("ControllerParametersSource", "internal", "internal")
+    if c.text("LimitOutput", "off") == "on":
+        c.needs("AntiWindupMode", "none", "none", "back-calculation")
+    windup = c.text("LimitOutput", "off") == "on" and c.text("AntiWindupMode", "none") == "back-calculation"
+    d = Diagram("pid")
+    d.input("u")
+    error, terms = "u", list[str]()
+    if ideal:
+        if kind == "I":
+            raise Refused("an integral controller in ideal form is not translated")
+        terms.append("u")
+    elif "P" in kind:
+        d.add("P", Gain(c.scalar("P", "1")), u="u")
+        terms.append("P")
+    if "I" in kind:
+        start = c.scalar("InitialConditionForIntegrator", "0")
+        method = c.text("IntegratorMethod", "Forward Euler")
+        rules = {"Forward Euler": "forward", "Backward Euler": "backward", "Trapezoidal": "trapezoidal"}
+        if method not in rules:
+            raise Refused(f"IntegratorMethod = {method!r} is not translated")
+        d.add("I", Gain(c.scalar("I", "1")), u=error)
+        d.add("integral", Integrator(start) if continuous else DiscreteIntegrator(rules[method], 1.0, start))
+        terms.append("integral")
+    if "D" in kind:
+        c.needs("UseFilter", "on", "on")
+        if not continuous:
+            c.needs("FilterMethod", "Forward Euler", "Forward Euler")
+        start = c.scalar("InitialConditionForFilter", "0")
+        d.add("D", Gain(c.scalar("D", "0")), u="u")
+        d.add("filter", Integrator(start) if continuous else DiscreteIntegrator("forward", 1.0, start))
+        d.add("slope", Sum("+-"), a="D", b="filter")
+        d.add("N", Gain(c.scalar("N", "100")), u="slope")
+        d.connect("N", "filter.u")
+        terms.append("N")
+    y = terms[0]
+    if len(terms) > 1:
+        d.add("sum", Sum("+" * len(terms)), inputs=dict(zip("abc", terms, strict=False)))
+        y = "sum"
+    if ideal:
+        d.add("P", Gain(c.scalar("P", "1")), u=y)
+        y = "P"
+    if c.text("LimitOutput", "off") == "on":
+        low, high = c.scalar("LowerSaturationLimit", "-inf"), c.scalar("UpperSaturationLimit", "inf")
+        d.add("limited", Saturation(low, high), u=y)
+        if windup and "I" in kind:
+            d.add("excess", Sum("+-"), a="limited", b=y)
+            d.add("Kb", Gain(c.scalar("Kb", "1")), u="excess")
+            d.add("driven", Sum("++"), a="Kb", b="I")
+            d.connect("driven", "integral.u")
+        y = "limited"
+    if "I" in kind and not windup:
+        d.connect("I", "integral.u")
+    d.output("y", y)
+    return Made(d, [Signal()])
+
+
 def _mux(c: Asked) -> Made:
     kind = c.kind("real", "bool", "int32", "uint32")
     widths = [one.width for one in c.inputs]
@@ -630,6 +697,7 @@ RULES: dict[str, Rule] = {
     "Memory": _unit_delay,
     "MinMax": _min_max,
     "Mux": _mux,
+    "PID Controller": _pid,
     "Product": _product,
     "RelationalOperator": _relational,
     "Relay": _relay,

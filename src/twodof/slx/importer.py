@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.library import Constant, ZeroOrderHold
@@ -31,7 +33,7 @@ class Line:
     path: str
     kind: str
     status: str
-    """`imported`, `approximated`, `dropped` or `refused`."""
+    """`imported`, `approximated`, `dropped`, `refused`, or `not reached`: it hangs on what is refused."""
     why: str = ""
 
 
@@ -93,8 +95,10 @@ class _Import:
             if block.type in ("Inport", "InportShadow") and key[0] == self.path:
                 self._try(key, lambda block=block, key=key: self._inport(key, block))
         self._infer()
-        diagram = None if any(line.status == "refused" for line in self.report) else self._diagram(self.path)
-        order = {"refused": 0, "approximated": 1, "dropped": 2, "imported": 3}
+        diagram = (
+            None if any(line.status in ("refused", "not reached") for line in self.report) else self._diagram(self.path)
+        )
+        order = {"refused": 0, "not reached": 1, "approximated": 2, "dropped": 3, "imported": 4}
         self.report.sort(key=lambda line: order[line.status])
         return Imported(diagram, self.dt, self.report, self.notes)
 
@@ -141,20 +145,21 @@ class _Import:
             if block.commented:
                 continue
             try:
-                inner, source = self._body(block)
+                inner, source = self._body(block, names)
             except Refused as reason:
                 self.report.append(Line(at, block.kind, "refused", str(reason)))
                 continue
             if inner is not None:
                 self._collect(at, inner, self._inside(source, {**block.values, **block.instance}, names), depth + 1)
 
-    def _body(self, block: Block) -> tuple[System | None, Block]:
-        """Return what is inside a block, and the block that has its mask: of a link, the library's."""
+    def _body(self, block: Block, names: dict[str, Value]) -> tuple[System | None, Block]:
+        """Return what is inside a block, and who has its mask: a link's library block, a variant's active choice."""
         if block.kind in ("MATLAB Function", "Chart", "State Transition Table", "Truth Table"):
             raise Refused(f"a {block.kind} is not translated")
         if block.type == "SubSystem":
             if block.values.get("Variant", "off") == "on":
-                raise Refused("a variant subsystem is not translated: import its active choice as --subsystem")
+                choice = self._choice(block, names)
+                return choice.system, choice
             return block.system, block
         if block.type != "Reference" or block.kind in RULES:
             return None, block
@@ -168,6 +173,32 @@ class _Import:
         if found is None or found.system is None:
             raise Refused(f"the library {library} has no subsystem {inside}")
         return found.system, found
+
+    @staticmethod
+    def _choice(block: Block, names: dict[str, Value]) -> Block:
+        """Return the active choice of a variant: by its label, or the one whose condition is true."""
+        inside = block.system.blocks.values() if block.system is not None else ()
+        choices = [one for one in inside if one.type not in ("Inport", "Outport") and not one.commented]
+        label = block.values.get("LabelModeActiveChoice", block.values.get("LabelModeActivechoice", ""))
+        active = []
+        for one in choices:
+            condition = one.values.get("VariantControl", "")
+            if label:
+                held = condition == label
+            elif condition in ("(default)", ""):
+                continue
+            else:
+                try:
+                    held = bool(np.all(number(evaluate(condition, names))))
+                except DiagramError as reason:
+                    raise Refused(f"condition of the choice {collapsed(one.name)}: {reason.what}") from None
+            active += [one] * held
+        active = active or [one for one in choices if one.values.get("VariantControl") == "(default)"]
+        if len(active) != 1 or active[0].type != "SubSystem":
+            raise Refused(
+                f"{len(active)} choices of the variant are active: give their conditions' names by --workspace"
+            )
+        return active[0]
 
     def _library(self, name: str) -> Model | None:
         if name not in self.libraries:
@@ -230,8 +261,36 @@ class _Import:
         if said == "single":
             self.approximated.setdefault(key, []).append(_SINGLE)
         if said.startswith("Inherit") or width == -1:
-            self.approximated.setdefault(key, []).append("inherits its type: taken for a scalar double")
+            width = self._width_wanted(*key, 0) if width == -1 else width
+            shape = f"a vector of {width} doubles" if width > 1 else "a scalar double"
+            self.approximated.setdefault(key, []).append(f"inherits its type: taken for {shape}")
         self.signals[*key, 1] = Signal(TYPES.get(said, "real"), width if width > 1 else None)
+
+    def _width_wanted(self, path: str, sid: str, depth: int) -> int:
+        """Return how many elements the Demux or Selector behind a port wants; 1 where none says it."""
+        system, _ = self.systems[path]
+        sinks = [pin for line in system.lines if line.source == Pin(sid, "out", 1) for pin in line.wire.sinks()]
+        for pin in sinks if depth < 20 else ():
+            block = system.blocks[pin.sid]
+            inner = f"{path}/{escaped(block.name)}".lstrip("/")
+            wanted = 1
+            if block.type == "Demux":
+                said = block.values.get("Outputs", "4")
+                wanted = block.ports[1] if block.ports and said.isdigit() else int(said) if said.isdigit() else 1
+            elif block.type == "Selector":
+                said = block.values.get("InputPortWidth", "1")
+                wanted = int(said) if said.isdigit() else 1
+            elif block.type == "Goto":
+                tag = block.values.get("GotoTag", "A")
+                froms = [
+                    s for s, b in system.blocks.items() if b.type == "From" and b.values.get("GotoTag", "A") == tag
+                ]
+                wanted = max((self._width_wanted(path, one, depth + 1) for one in froms), default=1)
+            elif inner in self.systems and (port := self._port(inner, "Inport", pin.number)) is not None:
+                wanted = self._width_wanted(inner, port, depth + 1)
+            if wanted > 1:
+                return wanted
+        return 1
 
     def _source(self, path: str, pin: Pin) -> tuple[str, str, int] | None:
         """Return the block and output that drive an input: through Goto and From, up and down."""
@@ -299,8 +358,8 @@ class _Import:
                 ]
             if not ready:
                 for (path, _), block in waiting.items():
-                    why = "the types of its inputs are not known: they lead in a circle, or hang on what is refused"
-                    self.report.append(Line(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, "refused", why))
+                    where, status = f"{path}/{escaped(block.name)}".lstrip("/"), "not reached"
+                    self.report.append(Line(where, block.kind, status, "the types of its inputs are not known"))
                 return
             for key in ready:
                 del waiting[key]
