@@ -31,7 +31,7 @@ def test_the_bound_is_what_output_error_attains(still: Laboratory) -> None:
     """
     impulse = Laboratory("paper").fly("impulse").log
     flown = identify_flight(impulse, disturbance="white").greybox
-    planned = expected_accuracy("impulse", still, values={"mu": flown["mu"]}, noise={"q": flown.noise["q"]})
+    planned = expected_accuracy("impulse", still, noise={"q": flown.noise["q"]})
     assert planned.information is not None
     for name in ("w_n", "xi"):
         bound = float(planned.information.sigma[planned.information.labels.index(name)])

@@ -73,7 +73,8 @@ def test_true_values_stand_beside_the_estimates(logs: dict[str, FlightLog], said
     ours = {key: value for key, value in log.provenance.items() if key != "rig" or "drone" not in said}
     seen = identify_flight(FlightLog(log.channels, {**ours, **said}), structure="pitch-rate").view()
     truth = {row["name"]: row["truth"] for row in seen["estimates"] if row["truth"] is not None}
-    assert truth == {"mu": pytest.approx(358.5), "tau": pytest.approx(0.02)}
+    poles = {"w_n": pytest.approx(3.437), "xi": pytest.approx(0.0836)}
+    assert truth == {"mu": pytest.approx(358.5), "tau": pytest.approx(0.02), **poles}
 
 
 @pytest.mark.parametrize("said", [{}, {"flown": {"virtual": False}}, {"rig": "own", "flown": {"virtual": True}}])

@@ -48,7 +48,7 @@ static inline void step(Loop *l, const Setpoints *set, Outputs *y)
     *y = l->y;
     d.gust = l->gust_moment;
     Motion next = integrated(l, &d, &l->motion);
-    contacts(l, &next, now.running);
+    contacts(l, &d, &now, &next);
     next.fore = next.fore < STILL ? 0 : next.fore;
     next.aft = next.aft < STILL ? 0 : next.aft;
     l->motion = next;

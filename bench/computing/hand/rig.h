@@ -24,7 +24,7 @@ static inline Thrust thrust_of(const Loop *l, const Drive *d, real fore, real af
     const real load = (up_fore + up_aft) * l->c.per_hover, speed = (fore + aft) * (R(0.5) / HOVER);
     return (Thrust){
         .thrust = p->rig_pair_thrust * (up_fore + up_aft),
-        .moment = p->rig_arm * p->rig_pair_thrust * (up_fore - up_aft) + p->rig_trim_start * load + d->wake_moment,
+        .moment = p->rig_arm * p->rig_pair_thrust * (up_fore - up_aft) + load * (p->rig_trim_start + d->wake_moment),
         .running = speed < 1 ? speed : 1,
         .load = load,
     };
@@ -38,16 +38,27 @@ static inline int holds(real speed, real load, real friction, real place, real l
     return fabs(load) <= friction || (place >= high && load > 0) || (place <= low && load < 0);
 }
 
+static inline real coulomb_of(const Parameters *p, real running)
+{
+    return p->rig_coulomb_idle + (p->rig_coulomb_run - p->rig_coulomb_idle) * running;
+}
+
+/* The moment about the bearing without dry friction. */
+static inline real torque_of(const Loop *l, const Drive *d, const Motion *m, const Thrust *t)
+{
+    const Parameters *p = &l->p;
+    const real viscous = p->rig_viscous_idle + (p->rig_viscous_run - p->rig_viscous_idle) * t->running;
+    const real cable = (1 - t->running) * (p->rig_hardening * m->theta * m->theta);
+    const real spring = m->theta * (p->rig_spring - p->rig_softening * t->running + cable);
+    return t->moment + d->gust - l->c.weight * m->sine - spring - viscous * m->q;
+}
+
 static inline Motion rates(const Loop *l, const Drive *d, const Motion *m)
 {
     const Parameters *p = &l->p;
     const Derived *c = &l->c;
     const Thrust t = thrust_of(l, d, m->fore, m->aft);
-    const real viscous = p->rig_viscous_idle + (p->rig_viscous_run - p->rig_viscous_idle) * t.running;
-    const real coulomb = p->rig_coulomb_idle + (p->rig_coulomb_run - p->rig_coulomb_idle) * t.running;
-    const real cable = (1 - t.running) * (p->rig_hardening * m->theta * m->theta);
-    const real spring = m->theta * (p->rig_spring - p->rig_softening * t.running + cable);
-    const real torque = t.moment + d->gust - c->weight * m->sine - spring - viscous * m->q;
+    const real coulomb = coulomb_of(p, t.running), torque = torque_of(l, d, m, &t);
     const real force =
         (c->offset_mass * m->q * m->q - t.thrust) * m->sine + p->rig_rail_force - p->rig_rail_viscous * m->v;
     const real coupling = c->offset_mass * m->cosine, alone = torque * c->per_inertia;
@@ -95,6 +106,26 @@ static inline void rub(real *place, real *speed, real loss)
     *speed -= lost;
 }
 
+/* Friction on a motion that may turn round within the tick, under the acceleration `drive` of all else. */
+static inline void rub_round(real *place, real *speed, real drive, real loss)
+{
+    const real before = *speed - drive * TICK;
+    real after = 0;
+    if (*speed == 0)
+        return;
+    if (before > 0) {
+        after = *speed - loss * TICK;
+        if (after < 0)
+            after = fmin(0, (drive + loss) * (TICK - before / (loss - drive)));
+    } else {
+        after = *speed + loss * TICK;
+        if (after > 0)
+            after = fmax(0, (drive - loss) * (TICK + before / (loss + drive)));
+    }
+    *place -= TICK / 2 * (*speed - after);
+    *speed = after;
+}
+
 /* A stop gives back a share of the speed; a rebound slower than `rest` ends there. */
 static inline void bounce(real *place, real *speed, real low, real high, real restitution, real rest)
 {
@@ -110,16 +141,16 @@ static inline void bounce(real *place, real *speed, real low, real high, real re
     *speed = fabs(back) < rest ? 0 : back;
 }
 
-static inline void contacts(const Loop *l, Motion *m, real running)
+static inline void contacts(const Loop *l, const Drive *d, const Thrust *now, Motion *m)
 {
     const Parameters *p = &l->p;
     const Derived *c = &l->c;
     const real q = m->q, v = m->v;
-    const real coulomb = p->rig_coulomb_idle + (p->rig_coulomb_run - p->rig_coulomb_idle) * running;
+    const real coulomb = coulomb_of(p, now->running), torque = torque_of(l, d, m, now);
     rub(&m->x, &m->v, p->rig_rail_coulomb * c->per_mass * TICK);
     const real slid = m->v;
     bounce(&m->x, &m->v, c->low, c->high, c->bounce, SLOW_CART);
-    rub(&m->theta, &m->q, coulomb * c->per_inertia * TICK);
+    rub_round(&m->theta, &m->q, torque * c->per_inertia, coulomb * c->per_inertia);
     const real turned = m->q;
     bounce(&m->theta, &m->q, -p->rig_pitch_stop, p->rig_pitch_stop, p->rig_pitch_bounce, SLOW_PITCH);
     m->sine = sin(m->theta);

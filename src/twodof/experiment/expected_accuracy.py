@@ -13,7 +13,7 @@ from twodof.experiment.experiments import Experiment, script
 from twodof.experiment.flight import Laboratory, flight_log, ready
 from twodof.identify.disturbance.autoregression import Autoregression, from_covariance
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
-from twodof.identify.experiments import KINDS, cut, kind_of
+from twodof.identify.experiments import KINDS, cut, free_swing, kind_of
 from twodof.identify.information import Information, predict
 from twodof.identify.ready_made import (
     ENOUGH_SHARE,
@@ -21,11 +21,11 @@ from twodof.identify.ready_made import (
     LEVEL,
     PURPOSE,
     SWING,
+    SWUNG,
     TRAVEL,
     FlownMachine,
     known_cart,
     priors_of,
-    released,
     structure_for,
 )
 from twodof.identify.record import Record
@@ -199,10 +199,13 @@ def expected_accuracy(
             structure = structure_for(kind)
             known = {**known_cart(stops, structure, free=not one.rings), **known}
             before = priors_of(stops, structure)
+        record = cut(log, kind)
         if kind == "impulse":
-            own = model_parameters(stops)
-            known = {**{name: own[name] for name in ("coulomb", "hardening")}, **known}
-        planned = _Plan(cut(log, kind), kind, known, before, free=not one.rings)
+            own, structure = model_parameters(stops), structure_for(kind)
+            record, first = free_swing(record)
+            springs = known_cart(stops, structure, free=not one.rings)
+            known = {**{name: own[name] for name in SWING}, **springs, **first, **known}
+        planned = _Plan(record, kind, known, before, free=not one.rings)
         found, worse = planned.information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:
         remark = f"the expected accuracy is unknown: {reason.what}"
@@ -256,7 +259,7 @@ class _Plan:
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:
-            wanted = tuple(name for name in released(structure) if name not in structure.at_rest)
+            wanted = SWUNG
         # In a short flight dead time and lag have nearly the same effect, and their sum is wanted: the lag is held.
         # A closed loop separates them.
         wanted = wanted if self.kind == "attitude" else tuple(name for name in wanted if name != "lag")

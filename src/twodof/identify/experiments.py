@@ -21,6 +21,8 @@ _NEAR_STOP_RAD = 0.84
 # A free response is over when q has stayed below this share of its peak for this long; what follows in a log is
 # somebody's hand. Half a swing lasts .9 s and more, so a passage through zero is not taken for the end.
 _OVER_SHARE, _OVER_S = 0.005, 1.0
+# Rotors are at rest so long after their last command: eight times their lag.
+_AT_REST_S = 0.1
 # A locked cart stands still; the range sensor's noise is 4 mm, and an experiment moves it by a decimetre and more.
 _MOVED_M = 0.05
 # A cart slower than this creeps. Rest of so long is left out, but for a while around the motion.
@@ -161,6 +163,21 @@ def in_motion(record: Record) -> tuple[Record, ...]:
         for k, (a, b) in enumerate(bounds)
     ]
     return tuple(replace(part, flight=record.name) for part in parts)
+
+
+def free_swing(record: Record) -> tuple[Record, dict[str, float]]:
+    """Return the part of an impulse's record with the rotors at rest, and its first pitch and pitch rate.
+
+    While the rotors turn, their lag and what they do to the bearing would pass for friction and stiffness. The pitch at
+    the start is that which the swing takes back.
+    """
+    moment = record.inputs["M"]
+    moved = np.flatnonzero(moment != moment[-1])
+    start = record.start if not moved.size else float(record.time[moved[-1]]) + _AT_REST_S
+    part = record.part(start, float(record.time[-1]))
+    q = part.outputs["q"]
+    theta = -float(np.trapezoid(q.value, record.dt * q.position))
+    return part, {"theta_0": theta, "q_0": float(q.value[0])}
 
 
 def only(record: Record, *outputs: str) -> Record:

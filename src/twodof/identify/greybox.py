@@ -198,7 +198,7 @@ def fit(
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition,
         identification=compared,
-        validation=_validation(problem, found, checked, like),
+        validation=_validation(problem, found, checked, like, values or {}),
         iterations=minimum.iterations,
         converged=minimum.converged,
         domain="time domain" if band is None else f"frequency domain, {band[0]:g} to {band[1]:g} Hz",
@@ -534,8 +534,13 @@ def _comparisons(
     return tuple(compared)
 
 
-def _validation(problem: Problem, found: Disturbed, records: Sequence[Record], like: str) -> tuple[Comparison, ...]:
-    """Simulate records that the fit did not use, with the values of record `like`; local unknowns are fitted."""
+def _validation(
+    problem: Problem, found: Disturbed, records: Sequence[Record], like: str, values: Mapping[str, float]
+) -> tuple[Comparison, ...]:
+    """Simulate records that the fit did not use, with the values of record `like`; local unknowns are fitted.
+
+    `values` has their first guesses, by "unknown[record]".
+    """
     x, predicts = found.minimum.x, found.predictor is not None
     if found.predictor is not None:
         records = [with_measured(problem.structure, record) for record in records]
@@ -549,6 +554,7 @@ def _validation(problem: Problem, found: Disturbed, records: Sequence[Record], l
     shared = {name: value for name, value in values.items() if not unknowns[name].local}
     local = {slot.unknown.name for slot in problem.slots if slot.unknown.local}
     for record in records:
-        own = Problem(problem.structure, [record], local, shared)
+        first = {name: value for name, value in values.items() if name.endswith(f"[{record.name}]")}
+        own = Problem(problem.structure, [record], local, shared | first)
         compared.extend(_comparisons(own, _solve(own, {}).x if local else own.x0, predicts=predicts))
     return tuple(compared)

@@ -194,6 +194,7 @@ def identify_flight(
     except (IdentificationError, LogError) as reason:
         refusal = str(reason)
     unseen = tuple(fitted[len(fitted) - len(checks) :])
+    record = fitted[0] if kind == "impulse" else record  # without the pulse
     truth = reference_values(log, kind, record.start, float(record.time[-1]))
     return IdentifiedFlight(kind, shape, record, unseen, found, simple, refusal, truth, machines[0].rig)
 

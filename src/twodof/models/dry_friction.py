@@ -39,6 +39,7 @@ def after_friction(speed: Any, drive: Any, more: Any, less: Any, dt: Any) -> Any
 class PitchPendulum(Block):
     """q' = mu M - 2 xi w_n q - w_n^2 sin(theta) - hardening theta^3 - friction, theta' = q.
 
+    Where a linear spring makes the share `springy` of w_n^2, theta takes the place of that share of sin(theta).
     Friction is Coulomb's. It opposes q with `coulomb` (1 + `asymmetry`) for q > 0 and `coulomb` (1 - `asymmetry`) for
     q < 0 [rad/s2]. It holds a drone at rest while the other terms of the right-hand side are smaller.
     """
@@ -56,6 +57,7 @@ class PitchPendulum(Block):
         Param("coulomb", 0.0, unit="rad/s2", low=0.0, text="dry friction"),
         Param("asymmetry", 0.0, low=-1.0, high=1.0, text="share by which friction differs with direction"),
         Param("hardening", 0.0, unit="rad/s2", text="cubic part of the spring"),
+        Param("springy", 0.0, text="share of a linear spring in the stiffness; the rest is gravity's"),
         Param("theta_0", 0.0, unit="rad", text="pitch at the start"),
         Param("q_0", 0.0, unit="rad/s", text="pitch rate at the start"),
     )
@@ -75,7 +77,9 @@ class PitchPendulum(Block):
 
     def _drive(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
         """Return the right-hand side without dry friction, and the friction for q > 0 and for q < 0."""
-        spring = p.w_n * p.w_n * sin(x.theta) + p.hardening * (x.theta * x.theta * x.theta)
+        restoring = sin(x.theta)
+        restoring = restoring + p.springy * (x.theta - restoring)
+        spring = p.w_n * p.w_n * restoring + p.hardening * (x.theta * x.theta * x.theta)
         drive = p.mu * u.M - 2.0 * p.xi * p.w_n * x.q - spring
         return drive, p.coulomb * (1.0 + p.asymmetry), p.coulomb * (1.0 - p.asymmetry)
 

@@ -13,6 +13,7 @@ from twodof.blocks import Block, Param, Port, State, maximum, minimum, sqrt, whe
 from twodof.blocks.block import Clock
 from twodof.blocks.elementary.functions import cos_octant, exp, sin_octant
 from twodof.blocks.noise import normal
+from twodof.models import dry_friction
 from twodof.signals import GRAVITY
 
 GUST_STREAM = 2
@@ -83,6 +84,15 @@ def after_friction(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any
     """Return (place, speed) after friction that takes at most `loss` of the speed within the step of `dt` s."""
     lost = maximum(-loss, minimum(loss, speed))
     return place - (0.5 * dt) * lost, speed - lost
+
+
+def after_reversal(place: Any, speed: Any, drive: Any, friction: Any, dt: Any) -> tuple[Any, Any]:
+    """Return (place, speed) after `friction`, as `dry_friction.after_friction`, which knows when the motion stopped.
+
+    What rests was held within the step.
+    """
+    after = where(speed == 0.0, 0.0, dry_friction.after_friction(speed, drive, friction, friction, dt))
+    return place - (0.5 * dt) * (speed - after), after
 
 
 def after_stops(place: Any, speed: Any, low: Any, high: Any, restitution: Any, rest: Any) -> tuple[Any, Any]:
@@ -184,11 +194,7 @@ class Dynamics(Block):
         return {name: x[name] for name, _ in COORDINATES}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        viscous = p.viscous_idle + (p.viscous_run - p.viscous_idle) * u.running
-        coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
-        cable = (1.0 - u.running) * (p.hardening * (x.theta * x.theta))
-        spring = x.theta * (p.spring - p.softening * u.running + cable)
-        torque = u.moment + u.gust - p.weight * x.sine - spring - viscous * x.q
+        torque, coulomb = self._torque(u, x, p)
         force = (p.offset_mass * x.q * x.q - u.thrust) * x.sine + p.rail_force - p.rail_viscous * x.v
         coupling = p.offset_mass * x.cosine
         alone = torque * p.per_inertia
@@ -212,11 +218,19 @@ class Dynamics(Block):
             "cosine": -x.sine * x.q,
         }
 
-    def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+    def _torque(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
+        """Return the moment about the bearing without dry friction, and the dry friction [N m]."""
+        viscous = p.viscous_idle + (p.viscous_run - p.viscous_idle) * u.running
         coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
+        cable = (1.0 - u.running) * (p.hardening * (x.theta * x.theta))
+        spring = x.theta * (p.spring - p.softening * u.running + cable)
+        return u.moment + u.gust - p.weight * x.sine - spring - viscous * x.q, coulomb
+
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        torque, coulomb = self._torque(u, x, p)
         place, slid = after_friction(x.x, x.v, p.rail_coulomb * p.per_mass * t.base_dt, t.base_dt)
         place, speed = after_stops(place, slid, p.low, p.high, p.bounce, SLOW_CART)
-        theta, turned = after_friction(x.theta, x.q, coulomb * p.per_inertia * t.base_dt, t.base_dt)
+        theta, turned = after_reversal(x.theta, x.q, torque * p.per_inertia, coulomb * p.per_inertia, t.base_dt)
         theta, q = after_stops(theta, turned, -p.pitch_stop, p.pitch_stop, p.pitch_bounce, SLOW_PITCH)
         # An impulse on one coordinate leaves the momentum of the other as it is. Friction holds what rests against the
         # small impulses of friction, not against those of an impact.

@@ -132,7 +132,7 @@ class Rotors(Block):
         up_fore, up_aft = lift(fore, p.curve) * u.supply, lift(aft, p.curve) * u.supply
         total = up_fore + up_aft
         load = total * p.per_hover
-        trim = p.trim_start * load + (p.trim - p.trim_start) * x.wake
+        trim = load * (p.trim_start + (p.trim - p.trim_start) * x.wake)
         return {
             "thrust": p.pair_thrust * total,
             "moment": (p.arm * p.pair_thrust) * (up_fore - up_aft) + trim,
