@@ -298,7 +298,13 @@ def _on_unknowns(found: Estimate) -> Iterator[str]:
     """Yield remarks on unknowns that the data show only together, hardly, or hardly apart."""
     noise = found.disturbance
     memory = noise.dt * max((model.order for model in noise.noise.values()), default=0)
-    if noise.answering and memory and "w_n" in found.labels and found["w_n"] * memory < 2.0 * math.pi:
+    if (
+        noise.answering
+        and memory
+        and not noise.swing
+        and "w_n" in found.labels
+        and found["w_n"] * memory < 2.0 * math.pi
+    ):
         yield (
             f"the noise model remembers {memory:.2g} s and a swing lasts {2.0 * math.pi / found['w_n']:.2g} s, so slow "
             "noise passes for w_n and xi: do not rely on them"

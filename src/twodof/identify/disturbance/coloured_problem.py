@@ -109,14 +109,44 @@ def _range_before(values: Array, window: int) -> Array:
     return np.asarray(seen.max(axis=1) - seen.min(axis=1))
 
 
+SWING = ("w_n", "xi")
+_REMEMBERED_S = 4.0
+"""Time over which the inverse of a swing integrates [s]: longer than the swing lasts."""
+
+
+def swing_of(problem: Problem, **shift: float) -> tuple[Array, Array] | None:
+    """Return the filter (numerator, denominator) from a rate that swings to what pushes it, by the prior of the poles.
+
+    A pendulum that a gust pushes swings on for seconds. An autoregression of .24 s does not see it, and what it leaves
+    would pass for information about the poles. `shift` moves a pole by so many of the prior's standard deviations.
+    Returns None where the poles have no prior.
+    """
+    if not set(SWING) <= set(problem.known):
+        return None
+    dt = problem.records[0].dt
+    w_n, xi = (mean + shift.get(name, 0.0) * width for name in SWING for mean, width in [problem.known[name]])
+    pole = np.exp(dt * w_n * complex(-xi, math.sqrt(max(0.0, 1.0 - xi * xi))))
+    return np.array([1.0, -2.0 * pole.real, abs(pole) ** 2]), np.array([1.0, -math.exp(-dt / _REMEMBERED_S)])
+
+
+def widened(jacobian: Array, error: Array) -> Array:
+    """Return the sensitivities whose covariance is that of `jacobian` plus `error` `error`' (Sherman and Morrison)."""
+    moved = jacobian @ error
+    length = float(moved @ moved)
+    if not length > 0.0:
+        return jacobian
+    share = (1.0 - 1.0 / math.sqrt(1.0 + length)) / length
+    return np.asarray(jacobian - share * np.outer(moved, moved @ jacobian))
+
+
 class NoiseRows:
     """The rows of the blocks of one noise. `pieces` (of them) have no gap inside.
 
     `deviation` (size,) is the standard deviation of the prediction errors over their root mean square.
     """
 
-    def __init__(self, problem: Problem, blocks: Sequence[int]) -> None:
-        self._problem, self._blocks = problem, tuple(blocks)
+    def __init__(self, problem: Problem, blocks: Sequence[int], swing: tuple[Array, Array] | None = None) -> None:
+        self._problem, self._blocks, self._swing = problem, tuple(blocks), swing
         own = [problem.blocks[k] for k in blocks]
         rows = np.concatenate([np.arange(block.rows.start, block.rows.stop) for block in own])
         # A slice is a view: most flights are one record.
@@ -130,6 +160,14 @@ class NoiseRows:
         self.pieces = tuple(found)
         self.loud: NoiseIncrease | None = None
         self.deviation = np.ones(self.size)
+
+    def pushes(self, rows: Array) -> Array:
+        """Return `rows` (samples, ...) behind the swing's inverse; each piece begins at rest."""
+        if self._swing is None:
+            return rows
+        from scipy.signal import lfilter  # imported late: most commands start without it
+
+        return np.concatenate([lfilter(*self._swing, rows[piece], axis=0) for piece in self.pieces])
 
     def listen(self, error: Array) -> None:
         """Find how loud the noise is where an input has moved, from its white `error`."""
@@ -164,12 +202,16 @@ class ColouredProblem:
     the prefiltered sensitivities less what a change of the coefficients would do to the same rows. So it holds in
     closed loop too, where input and earlier noise go together. With `given` autoregressions, one for each block, the
     colour is known: the cost is the sum of squares, and the Jacobian is prefiltered only.
+
+    With `swing` (`swing_of`) rows pass that filter first, and the autoregression is that of the pushes.
     """
 
-    def __init__(self, problem: Problem, given: Sequence[Autoregression] = ()) -> None:
+    def __init__(
+        self, problem: Problem, given: Sequence[Autoregression] = (), swing: tuple[Array, Array] | None = None
+    ) -> None:
         self.problem, self._given = problem, tuple(given)
         groups = [(k,) for k in range(len(given))] if given else problem.noises
-        self._noises = [NoiseRows(problem, noise) for noise in groups]
+        self._noises = [NoiseRows(problem, noise, swing) for noise in groups]
         self._orders: list[int | None] = [None] * len(self._noises)
         self._last: tuple[Array, Array, tuple[Autoregression, ...]] | None = None
 
@@ -255,7 +297,7 @@ class ColouredProblem:
         """Rows of all blocks, each prefiltered by its own model; those of the prior as they are."""
         white = rows.copy()
         for model, noise in zip(models, self._noises, strict=True):
-            own = model.whiten(rows[noise.rows], noise.pieces)
+            own = model.whiten(noise.pushes(rows[noise.rows]), noise.pieces)
             white[noise.rows] = own if noise.loud is None else (own.T / noise.deviation).T
         return white
 
@@ -266,7 +308,7 @@ class ColouredProblem:
         """
         raw, models = self.at(x)
         for model, noise in zip(models, self._noises, strict=True):
-            noise.listen(model.whiten(raw[noise.rows], noise.pieces))
+            noise.listen(model.whiten(noise.pushes(raw[noise.rows]), noise.pieces))
         self._last = None
         return any(noise.loud is not None for noise in self._noises)
 
@@ -278,7 +320,7 @@ class ColouredProblem:
     def _models(self, raw: Array) -> tuple[Autoregression, ...]:
         parts = zip(self._noises, self._orders, strict=True)
         spent = len(self.problem.slots)
-        return self._given or tuple(autoregression(raw[n.rows], n.pieces, order, spent) for n, order in parts)
+        return self._given or tuple(autoregression(n.pushes(raw[n.rows]), n.pieces, order, spent) for n, order in parts)
 
     def log_deviations(self, models: Sequence[Autoregression]) -> float:
         """Return half the logarithm of the determinant of the noises' covariance."""
@@ -293,7 +335,7 @@ class ColouredProblem:
         for model, noise in zip(models, self._noises, strict=True):
             if not model.order or self._given:
                 continue
-            own = raw[noise.rows]
+            own = noise.pushes(raw[noise.rows])
             # Prediction errors change with coefficient k as the residual k samples earlier.
             earlier = np.zeros((own.size, model.order))
             for piece in noise.pieces:

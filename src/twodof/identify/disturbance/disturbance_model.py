@@ -37,7 +37,7 @@ class DisturbanceModel:
     reason. In open loop only a structure that leaves something out causes such a change. It is infinite if the noise
     model had taken the response itself for noise. `gains` are those of the kind
     "innovation", with which a predictor corrects its states (`Structure.predictor`). `walks` has, by the names of
-    `noise`, the pushes at the states of the kind "walk".
+    `noise`, the pushes at the states of the kind "walk". With `swing` the noise was fitted as pushes of a swing.
     """
 
     kind: Disturbance = "white"
@@ -49,6 +49,7 @@ class DisturbanceModel:
     louder: Mapping[str, NoiseIncrease] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
     walks: Mapping[str, Walk] = field(default_factory=dict)
+    swing: bool = False
 
     def of(self, output: str, dt: float) -> Autoregression | None:
         """Return the noise of `output` for a flight with samples `dt` [s] apart; None if it is white.
@@ -104,7 +105,7 @@ class DisturbanceModel:
             f"{one.input} has moved"
             for label, one in self.louder.items()
         )
-        return f"coloured noise, autoregressive: {orders}{louder}"
+        return f"coloured noise, autoregressive: {orders}{', pushing a swing' if self.swing else ''}{louder}"
 
     def to_json(self) -> dict[str, object]:
         """Kind, orders, coefficients and standard deviations as plain numbers."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
-from twodof.identify.disturbance.coloured_problem import ColouredProblem
+from twodof.identify.disturbance.coloured_problem import SWING, ColouredProblem, swing_of, widened
 from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel, inputs_that_answer
 from twodof.identify.disturbance.gust import GustModel, can_be_pushed
 from twodof.identify.disturbance.walk import MOST, Walk, WalkModel
@@ -298,7 +298,29 @@ def _under(problem: Problem, jacobian: Array, found: Disturbed) -> Array:
 
 
 def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[str, ...]) -> Disturbed:
-    coloured = ColouredProblem(problem)
+    """Search under coloured noise: that of the output, or in closed loop that of what pushes a swing if it is likelier.
+
+    The swing that the noise has is that of the poles' prior. What the estimates would be with another one is a doubt.
+    """
+    found, cost = _coloured_by(ColouredProblem(problem), problem, minimum, answering)
+    swing = swing_of(problem) if answering else None
+    if swing is None:
+        return found
+    pushed, pushed_cost = _coloured_by(ColouredProblem(problem, swing=swing), problem, found.minimum, answering)
+    if not pushed_cost < cost:
+        return found
+    jacobian = pushed.jacobian
+    for name in SWING:
+        other = ColouredProblem(problem, swing=swing_of(problem, **{name: 1.0})).minimise(pushed.minimum.x)
+        if math.isfinite(other.cost):
+            jacobian = widened(jacobian, other.x - pushed.minimum.x)
+    return replace(pushed, jacobian=jacobian, model=replace(found.model, swing=True))
+
+
+def _coloured_by(
+    coloured: ColouredProblem, problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[str, ...]
+) -> tuple[Disturbed, float]:
+    """Search under the noise of `coloured`; return what was found and its cost, -2 log likelihood with its penalty."""
     # The output error's optimum may be far off in closed loop, the first guess in open loop.
     found = [coloured.minimise(start) for start in (minimum.x, problem.x0)]
     # In open loop the noise may not swallow the response: a swing that dies out is also an autoregression's.
@@ -336,7 +358,7 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
     units = [float(problem.sigma[blocks[0]]) for blocks in problem.noises]
     noise = {problem.noise_label(k): model.scaled(units[k]) for k, model in enumerate(models)}
     found_noise = DisturbanceModel("ar", noise, answering, dt=problem.records[0].dt, louder=coloured.louder())
-    return Disturbed(best, jacobian, error, _deviation(problem, raw), found_noise)
+    return Disturbed(best, jacobian, error, _deviation(problem, raw), found_noise), coloured.cost(best.x)
 
 
 def _polished(coloured: ColouredProblem, minimum: LeastSquaresMinimum) -> LeastSquaresMinimum:
