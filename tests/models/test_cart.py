@@ -6,10 +6,11 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from tools.coverage import cases, record_of, true_values
 from twodof.blocks.reference.interpreter import Reference
 from twodof.experiment.flight import Laboratory
+from twodof.identify.experiments import cut, only
 from twodof.identify.greybox import fit
+from twodof.identify.ready_made import TRAVEL, known_cart, known_rail, true_values
 from twodof.identify.record import Record
 from twodof.identify.simulation import simulate
 from twodof.models.dry_friction import CartPush
@@ -86,12 +87,12 @@ def test_with_the_cart_the_model_is_the_rig() -> None:
     parameters.set("wake_fade", 0.0)
     laboratory = Laboratory(parameters, noise=0.0)
     rig = parameters.snapshot()
-    case = cases(rig)["attitude-prbs"]
-    record = record_of(laboratory.fly(case.experiment), case)
+    log = laboratory.fly("attitude-prbs").log
+    record = cut(log, "attitude")
     known = model_parameters(rig)
     poles = {"w_n": known["w_n_run"], "xi": known["xi_run"]}
     unknowns = ("mu", "dead_time", "lag", "theta_0", "q_0")
-    cart = {**poles, **case.values, "coulomb": known["coulomb_run"]}
+    cart = {**poles, **known_cart(rig, pitch_on_cart(), free=False), "coulomb": known["coulomb_run"]}
 
     def left(structure_values: Mapping[str, float], on_cart: bool) -> float:
         structure = pitch_on_cart() if on_cart else pitch_rate(lag=True)
@@ -104,20 +105,20 @@ def test_with_the_cart_the_model_is_the_rig() -> None:
 def test_the_lever_takes_the_bias_off_a_velocity_doublet() -> None:
     laboratory = Laboratory("lab", noise=0.0)
     rig = laboratory.parameters.snapshot()
-    case = cases(rig)["velocity-doublet"]
-    record = record_of(laboratory.fly(case.experiment), case)
+    log = laboratory.fly("velocity-doublet").log
+    record = only(cut(log, "velocity"), "x")
+    known, _ = known_rail(rig)
     dry = {"coulomb": model_parameters(rig)["rail_coulomb"]}
-    unknowns = tuple(name for name in case.unknowns if name != "coulomb")
 
     def gain(lever: float) -> float:
-        return fit(rail(thrust=True), record, estimate=unknowns, values={**case.values, **dry, "lever": lever})["k_v"]
+        return fit(rail(thrust=True), record, estimate=TRAVEL, values={**known, **dry, "lever": lever})["k_v"]
 
-    truth = true_values(laboratory, case)["k_v"]
+    truth = true_values(rig, "velocity", log, record.start, float(record.time[-1]))["k_v"]
     # .3 % is left: the rotors' lag, which the structure takes for a delay, and the part of the friction that goes with
     # the lever.
-    assert gain(case.values["lever"]) == pytest.approx(truth, rel=0.003)
+    assert gain(known["lever"]) == pytest.approx(truth, rel=0.003)
     assert gain(0.0) < 0.99 * truth
 
 
-def test_the_campaign_knows_what_the_rig_has() -> None:
-    assert cases(load_rig("lab").snapshot())["velocity-doublet"].values["lever"] == pytest.approx(0.00403, rel=0.01)
+def test_the_default_knows_what_the_rig_has() -> None:
+    assert known_rail(load_rig("lab").snapshot())[0]["lever"] == pytest.approx(0.00403, rel=0.01)

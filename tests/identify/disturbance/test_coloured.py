@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tests.identify.signals import DT, doublet, pitch_record
-from tools.coverage import cases, record_of, true_values
 from twodof.errors import IdentificationError
 from twodof.experiment import Laboratory, experiment
 from twodof.identify import KINDS, Estimate, Record, Samples, cut, fit, repeat
+from twodof.identify.identified_flight import identify_flight
+from twodof.identify.ready_made import true_values
 from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate
 from twodof.rig.parameters import lab
@@ -152,12 +153,13 @@ def test_the_pieces_of_a_flight_have_one_noise() -> None:
 def test_intervals_of_a_short_closed_loop_hold() -> None:
     # 1.6 s. Output error, which `auto` took here once, has mu 41 low and holds it in 40 % of such flights.
     laboratory = Laboratory("lab")
-    case = cases(laboratory.parameters.snapshot())["attitude-steps"]
-    truth, z = true_values(laboratory, case), []
+    rig, z = laboratory.parameters.snapshot(), []
     for seed in range(1, 9):
-        record = record_of(laboratory.fly(case.experiment, seed), case)
-        short = record.part(record.start, record.start + 400 * record.dt)
-        found = fit(case.structure, short, estimate=case.estimate, values=case.values, prior=case.prior)
+        log = laboratory.fly("attitude-steps", seed).log
+        record = cut(log, "attitude")
+        short = (record.start, record.start + 400 * record.dt)
+        found = identify_flight(log, window=short).greybox
+        truth = true_values(rig, "attitude", log, *short)
         assert found.disturbance.kind == "ar"
         z.append([(found[figure] - truth[figure]) / found.sigma(figure) for figure in ("mu", "tau")])
     # Chi-square of 8: above 26.1 once in a thousand.
