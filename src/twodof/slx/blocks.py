@@ -5,6 +5,8 @@ a small diagram. What it does not cover it refuses by the parameter's name. Math
 left to right; a Discrete Derivative keeps the scaled input, and so on: each function follows that order of operations.
 """
 
+import math
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -35,6 +37,7 @@ from twodof.blocks.library import (
     Maximum,
     Minimum,
     Mux,
+    Noise,
     Product,
     Relay,
     Rounding,
@@ -555,7 +558,7 @@ def _convert(c: Asked) -> Made:
 def _rational(c: Asked) -> tuple[list[float], list[float]]:
     for name in ("NumeratorSource", "DenominatorSource", "InitialStatesSource"):
         c.needs(name, "Dialog", "Dialog")
-    if c.width is not None:
+    if c.inputs[0].width is not None:
         raise Refused("a transfer function of a vector is not translated")
     default = "[1 0.5]" if c.block.type.startswith("Discrete") else "[1 1]"
     top, bottom = c.value("Numerator", "[1]"), c.value("Denominator", default)
@@ -567,7 +570,7 @@ def _rational(c: Asked) -> tuple[list[float], list[float]]:
 def _discrete_transfer(c: Asked) -> Made:
     """Direct form II as MathWorks' C computes it: x = (u - a1 x1 - ...) / a0, y = b0 x + b1 x1 + ..."""
     top, bottom = _rational(c)
-    c.needs("ExternalReset", "None", "None")
+    reset = c.needs("ExternalReset", "None", "None", "Level hold")
     if c.block.type == "DiscreteTransferFcn":  # in powers of z: both begin at the highest
         top = [0.0] * (len(bottom) - len(top)) + top
     order = max(len(top), len(bottom)) - 1
@@ -604,7 +607,44 @@ def _discrete_transfer(c: Asked) -> Made:
     if not total:
         raise Refused("Numerator is 0")
     d.output("y", total)
+    return Made(d, [Signal()]) if reset == "None" else _resettable(c, d)
+
+
+def _resettable(c: Asked, inner: Diagram) -> Made:
+    """Put a diagram whose states are initial while the second input is not 0: Level hold."""
+    if len(c.inputs) != 2 or c.inputs[1].width is not None:
+        raise Refused("its reset is not one signal")
+    d = Diagram("resettable")
+    d.input("u")
+    d.input("reset", c.inputs[1].kind)
+    source = "reset"
+    if c.inputs[1].kind != "bool":
+        d.add("on", CompareToConstant("!=", 0.0, c.inputs[1].kind), u="reset")
+        source = "on"
+    d.add("filter", inner, inputs={"u": "u"}, reset=source)
+    d.output("y", "filter")
     return Made(d, [Signal()])
+
+
+def _noise(c: Asked) -> Made:
+    variance = c.scalar("Variance", "1")
+    if variance < 0.0:
+        raise Refused("Variance is negative")
+    c.notes.append("other random numbers of the same distribution")
+    seed = int(c.scalar("Seed", "0")) % 2**32
+    stream = zlib.crc32(f"{c.path}/{c.block.name}".encode())  # one of its own for each block
+    return Made(Noise(math.sqrt(variance), c.scalar("Mean", "0"), seed, stream), [Signal()])
+
+
+def _transport_delay(c: Asked) -> Made:
+    if c.width is not None:
+        raise Refused("a delay of a vector is not translated")
+    time = c.scalar("DelayTime", "1")
+    samples = round(time / c.dt)
+    c.notes.append(f"{time:g} s: {samples} of the period's samples")
+    if samples == 0:
+        return _passes(c)
+    return Made(Delay(samples, None, c.scalar("InitialOutput", "0")), [Signal()])
 
 
 def _transfer(c: Asked) -> Made:
@@ -700,6 +740,8 @@ RULES: dict[str, Rule] = {
     "PID Controller": _pid,
     "Product": _product,
     "RelationalOperator": _relational,
+    "RandomNumber": _noise,
+    "RateTransition": _passes,
     "Relay": _relay,
     "Rounding": _function(Rounding, {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}),
     "Saturate": _saturate,
@@ -712,6 +754,7 @@ RULES: dict[str, Rule] = {
     "Sum": _sum,
     "Switch": _switch,
     "TransferFcn": _transfer,
+    "TransportDelay": _transport_delay,
     "Trigonometry": _trigonometry,
     "UnaryMinus": lambda c: _same(c, Sum("-", c.kind("real"), c.width)),
     "UnitDelay": _unit_delay,
@@ -720,5 +763,6 @@ RULES: dict[str, Rule] = {
 }
 """Rule of each block type, or of a library block by its name."""
 
-STATEFUL = ("UnitDelay", "Memory", "Delay", "DiscreteIntegrator", "Integrator", "TransferFcn", "StateSpace")
+STATEFUL = ("UnitDelay", "Memory", "Delay", "DiscreteIntegrator", "Integrator", "TransferFcn", "StateSpace",
+            "TransportDelay")  # fmt: skip
 """Types whose output may be known before their input: where a loop is broken."""

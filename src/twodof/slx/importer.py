@@ -8,6 +8,7 @@ report says for each block whether it was imported, approximated, dropped or ref
 import re
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +89,7 @@ class _Import:
         self.given_dt = dt
 
     def run(self) -> Imported:
-        system, names = self.model.system(self.path), self._names_at(self.path)
+        system, names = _with_ports(self.model.system(self.path)), self._names_at(self.path)
         self._collect(self.path, system, names, 0)
         self.dt = self.given_dt or self._period()
         for key, block in self.blocks.items():
@@ -352,10 +353,8 @@ class _Import:
         count = {k: self._input_count(k, b) for k, b in waiting.items()}
         while waiting:
             ready = [k for k in waiting if self._translate(k, waiting[k], count[k], False)]
-            if not ready:
-                ready = [k for k, b in waiting.items() if b.type in STATEFUL and self._translate(k, b, count[k], True)][
-                    :1
-                ]
+            if not ready:  # a loop: it is broken at the first block whose output may be known before its input
+                ready = list(islice((k for k, b in waiting.items() if self._breaks(k, b, count[k])), 1))
             if not ready:
                 for (path, _), block in waiting.items():
                     where, status = f"{path}/{escaped(block.name)}".lstrip("/"), "not reached"
@@ -363,6 +362,9 @@ class _Import:
                 return
             for key in ready:
                 del waiting[key]
+
+    def _breaks(self, key: tuple[str, str], block: Block, count: int) -> bool:
+        return block.type in STATEFUL and self._translate(key, block, count, True)
 
     def _input_count(self, key: tuple[str, str], block: Block) -> int:
         if block.ports is not None:
@@ -512,6 +514,19 @@ class _Import:
         if notes and status == "imported":
             status, why = "approximated", "; ".join(notes)
         self.report.append(Line(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
+
+
+def _with_ports(system: System) -> System:
+    """Return a system whose From Workspace blocks are inputs and To Workspace blocks outputs, behind those it has."""
+    blocks = dict(system.blocks)
+    for kind, port in (("FromWorkspace", "Inport"), ("ToWorkspace", "Outport")):
+        number = sum(block.type == port for block in blocks.values())
+        for sid, block in system.blocks.items():
+            if block.type == kind and not block.commented:
+                number += 1
+                values = {"Port": str(number), "Position": block.values.get("Position", "")}
+                blocks[sid] = Block(port, block.values.get("VariableName", "sim"), sid, values)
+    return System(blocks, system.lines, system.notes)
 
 
 def _position(block: Block) -> tuple[float, float] | None:
