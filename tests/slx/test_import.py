@@ -14,11 +14,13 @@ from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from tests.slx.files import slx, written
+from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.cli.slx import slx as command
 from twodof.compile import build
 from twodof.slx.importer import Imported, import_system
-from twodof.slx.matlab import read_workspace
+from twodof.slx.inspection import inspect
+from twodof.slx.matlab import read_workspace, run
 from twodof.slx.model import read_model
 
 pytestmark = pytest.mark.slow
@@ -238,15 +240,72 @@ def test_names_come_from_scripts_and_mat_files_and_masks_shadow_them(tmp_path: P
 def test_the_command_writes_the_diagram_or_says_why_not(tmp_path: Path) -> None:
     path, out = written("split", tmp_path), tmp_path / "limits.json"
     (tmp_path / "w.m").write_text("M_MAX = 1; g.ki = 0;", encoding="utf-8")
-    run = CliRunner().invoke
-    refused = run(command, ["import", str(path), "--out", str(out)])
+    invoke = CliRunner().invoke
+    refused = invoke(command, ["import", str(path), "--out", str(out)])
     assert refused.exit_code == 1
     assert "g.ki has no value" in refused.output
     assert not out.exists()
-    done = run(command, ["import", str(path), "--out", str(out), "--workspace", str(tmp_path / "w.m"), "--json"])
+    done = invoke(command, ["import", str(path), "--out", str(out), "--workspace", str(tmp_path / "w.m"), "--json"])
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["fine"] is True
     assert list(from_json(out.read_text(encoding="utf-8")).outputs) == ["M"]
+
+
+ROTATION = """function [body, speed] = ned2body(ned, attitude)
+% from the earth to the body
+theta = attitude(2); psi = attitude(3);
+C = [cos(theta)*cos(psi) cos(theta)*sin(psi) -sin(theta)
+     -sin(psi)           cos(psi)            0
+     sin(theta)*cos(psi) sin(theta)*sin(psi) cos(theta)];
+body = C * ned;
+speed = sqrt(ned' * ned) + max(ned(1), 0) ^ 2;
+"""
+
+
+def matlab_function(tmp_path: Path, code: str) -> Imported:
+    """Import a model with a MATLAB Function of two vectors."""
+    port = {"OutDataTypeStr": "double", "PortDimensions": "3"}
+    blocks = [
+        ("Inport", "ned", port),
+        ("Inport", "attitude", {"Port": "2", **port}),
+        ("SubSystem", "to body", {"SFBlockType": "MATLAB Function", "Ports": "[2, 2]"}),
+        ("Outport", "body", {}),
+        ("Outport", "speed", {"Port": "2"}),
+    ]
+    lines = [("ned", "to body:1"), ("attitude", "to body:2"), ("to body:1", "body"), ("to body:2", "speed")]
+    files = model(blocks, lines)
+    state = f'<state SSID="1"><P Name="labelString">f</P><eml><P Name="script">{escape(code)}</P></eml></state>'
+    chart = f'<chart id="9"><P Name="name">to body</P><Children>{state}</Children></chart>'
+    files["simulink/stateflow/chart_9.xml"] = chart
+    return import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT)
+
+
+def test_a_matlab_function_of_assignments_is_translated(tmp_path: Path) -> None:
+    ned, attitude = np.random.default_rng(3).normal(size=(2, STEPS, 3))
+    found = flown(matlab_function(tmp_path, ROTATION), {"ned": ned, "attitude": attitude})
+    (_, ct, cp), (_, st, sp) = np.cos(attitude).T, np.sin(attitude).T
+    zero = np.zeros(STEPS)
+    rotation = np.array([[ct * cp, ct * sp, -st], [-sp, cp, zero], [st * cp, st * sp, ct]])
+    # The language's own sine and cosine, within 2.5 units in the last place of numpy's.
+    assert np.allclose(found["body"], np.einsum("ijk,kj->ki", rotation, ned), rtol=1e-13, atol=1e-15)
+    wanted = np.sqrt((ned**2).sum(axis=1)) + np.maximum(ned[:, 0], 0.0) ** 2
+    assert np.allclose(found["speed"], wanted, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ("body = C * ned;\nif speed0 > 1\n body = ned;\nend", "line 8: 'if' is not computed"),
+        ("body = svd(C) * ned;", "line 7: svd is not computed"),
+        ("body = C;", "the output body is a matrix"),
+        ("body = attitude(4);", "line 7: an index is beyond an array of 3 by 1"),
+        ("persistent k; body = k*ned;", "line 7"),
+    ],
+)
+def test_a_matlab_function_beyond_that_is_refused_by_its_line(tmp_path: Path, changed: str, said: str) -> None:
+    (refused,) = matlab_function(tmp_path, ROTATION.replace("body = C * ned;", changed)).refused
+    assert refused.path == "to body"
+    assert said in refused.why
 
 
 SAMPLES = os.environ.get("TWODOF_SLX_SAMPLES", "")
@@ -277,3 +336,49 @@ def test_three_pid_controllers_have_the_bits_of_mathworks_c() -> None:
     assert len(wanted) == 2000
     assert np.array_equal(np.array(outputs), wanted[:, :3])
     assert np.array_equal(np.array(kept), wanted[:, 3:]), names
+
+
+COURSE = """Xu=-.1068; Xq=.1192; Mu=-5.9755; Mq=-2.6478; Xd=-10.1647; Md=450.71; g=9.81; sample_time=1/250;
+A = [Xu Xq -g; Mu Mq 0; 0 1 0]; B = [Xd; Md; 0]; C = [1 0 0; 0 1 0; 0 0 1; Xu Xq 0]; D = [0; 0; 0; Xd];
+KP_Q=.09; KI_Q=.21; KD_Q=.0016; KF_Q=0; N_filter_rate=100; M_MAX=1; M_MIN=-1; KP_PITCH=12; Q_MAX=10; Q_MIN=-10;
+KP_X_DOT=.5; KI_X_DOT=.04; KD_X_DOT=0; KF_X_DOT=0; F_X_MAX=1; F_X_MIN=-1; N_filter_vel=10; N_filter_x=10; KP_X=2;
+VEL_MAX=10; VEL_MIN=-10; BASELINE_T=.4; Kt=.25; Kq=.25; b=2; delay.attitude_filter=1; delay.position_filter=1;
+noise.pos_stand_dev=.0011; noise.vel_stand_dev=.01; noise.attitude_stand_dev=.33*pi/180;
+noise.ang_rate_stand_dev=pi/180; noise.acc_stand_dev=.5; seed.x=1; seed.vx=2; seed.theta=3; seed.q=4; seed.ax=5;
+"""
+
+
+@pytest.mark.skipif(not SAMPLES, reason="let TWODOF_SLX_SAMPLES name the folder of the public sample models")
+def test_the_single_axis_simulator_of_a_course_imports_whole_and_flies() -> None:
+    names: dict[str, object] = {}
+    assert run(COURSE, names) == []
+    found = import_system(read_model(Path(SAMPLES) / "Simulator_Single_Axis.slx"), "", names, [Path(SAMPLES)])
+    assert found.diagram is not None, found.refused
+    assert found.dt == 0.004
+    time = DT * 0.4 * np.arange(15_000)  # 60 s at 250 Hz
+    flight = (
+        build(found.diagram, dt=found.dt, log=["Integrator2.y"])
+        .machine()
+        .run(len(time), {"SetPoint": np.where(time > 5.0, 1.0, 0.0), "ExcitationM": np.zeros(len(time))})
+    )
+    x = flight["Integrator2.y"]
+    assert np.abs(x[time < 5.0]).max() < 0.02  # it holds its place within its noise
+    assert np.abs(x[time > 15.0] - 1.0).max() < 0.02  # and goes to the set-point
+    assert x.max() < 1.2
+
+
+@pytest.mark.skipif(not SAMPLES, reason="let TWODOF_SLX_SAMPLES name the folder of the public sample models")
+@pytest.mark.parametrize("name", ["Attitude", "Position", "speed_control"])
+def test_the_sample_controllers_import_and_give_one_answer_on_all_machines(name: str) -> None:
+    model = read_model(Path(SAMPLES) / f"{name}.slx")
+    names: dict[str, object] = {one: np.array([[1.0 + 0.1 * k]]) for k, one in enumerate(inspect(model).names)}
+    names |= {"ctrl_type": np.array([[4.0]]), "T": np.array([[0.01]])} if name == "speed_control" else {}
+    path = "Controller" if name == "speed_control" else ""
+    found = import_system(model, path, names, [Path(SAMPLES)], dt=0.01)
+    assert found.diagram is not None, found.refused
+    draw = np.random.default_rng(1)
+    given = {p.name: draw.normal(size=(STEPS, p.width) if p.width else STEPS) for p in found.diagram.inputs.values()}
+    compiled = build(found.diagram, dt=0.01).machine().run(STEPS, given)
+    interpreted = Reference(found.diagram, 0.01).machine().run(STEPS, given)
+    assert all(np.array_equal(compiled[output], interpreted[output]) for output in found.diagram.outputs)
+    assert all(np.isfinite(compiled[output]).all() for output in found.diagram.outputs)

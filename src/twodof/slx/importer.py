@@ -17,9 +17,10 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.library import Constant, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, RULES, STATEFUL, TYPES, Asked, Made, Refused, Signal, expanded
+from twodof.slx.blocks import DROPPED, RULES, STATEFUL, TYPES, Asked, Made, Refused, Rule, Signal, expanded
 from twodof.slx.inspection import OWN_LIBRARIES, SUFFIXES
 from twodof.slx.matlab import evaluate, run
+from twodof.slx.matlab_function import MatlabFunction, last_index
 from twodof.slx.matlab_values import Value, number
 from twodof.slx.model import Block, Model, Pin, System, collapsed, escaped, read_model
 
@@ -155,7 +156,9 @@ class _Import:
 
     def _body(self, block: Block, names: dict[str, Value]) -> tuple[System | None, Block]:
         """Return what is inside a block, and who has its mask: a link's library block, a variant's active choice."""
-        if block.kind in ("MATLAB Function", "Chart", "State Transition Table", "Truth Table"):
+        if block.kind == "MATLAB Function":
+            return None, block
+        if block.kind in ("Chart", "State Transition Table", "Truth Table"):
             raise Refused(f"a {block.kind} is not translated")
         if block.type == "SubSystem":
             if block.values.get("Variant", "off") == "on":
@@ -268,9 +271,10 @@ class _Import:
         self.signals[*key, 1] = Signal(TYPES.get(said, "real"), width if width > 1 else None)
 
     def _width_wanted(self, path: str, sid: str, depth: int) -> int:
-        """Return how many elements the Demux or Selector behind a port wants; 1 where none says it."""
+        """Return how many elements the Demux, Selector or MATLAB Function behind a port wants; 1 where none says it."""
         system, _ = self.systems[path]
         sinks = [pin for line in system.lines if line.source == Pin(sid, "out", 1) for pin in line.wire.sinks()]
+        most = 1
         for pin in sinks if depth < 20 else ():
             block = system.blocks[pin.sid]
             inner = f"{path}/{escaped(block.name)}".lstrip("/")
@@ -289,9 +293,10 @@ class _Import:
                 wanted = max((self._width_wanted(path, one, depth + 1) for one in froms), default=1)
             elif inner in self.systems and (port := self._port(inner, "Inport", pin.number)) is not None:
                 wanted = self._width_wanted(inner, port, depth + 1)
-            if wanted > 1:
-                return wanted
-        return 1
+            elif block.kind == "MATLAB Function":
+                wanted = last_index(self._code(path, block), pin.number)
+            most = max(most, wanted)
+        return most
 
     def _source(self, path: str, pin: Pin) -> tuple[str, str, int] | None:
         """Return the block and output that drive an input: through Goto and From, up and down."""
@@ -339,7 +344,7 @@ class _Import:
 
     @staticmethod
     def _is_system(block: Block) -> bool:
-        return block.type in ("SubSystem", "Reference") and block.kind not in RULES
+        return block.type in ("SubSystem", "Reference") and block.kind not in (*RULES, "MATLAB Function")
 
     def _port(self, path: str, kind: str, number: int) -> str | None:
         ports = self.systems[path][0].blocks.items()
@@ -380,7 +385,8 @@ class _Import:
     def _translate(self, key: tuple[str, str], block: Block, count: int, assume: bool) -> bool:
         """Translate a block whose inputs are known, or assume a scalar; return whether it is done, refused or not."""
         path, names = key[0], self.systems[key[0]][1]
-        if block.kind not in RULES:
+        rule = self._matlab_function(path, block) if block.kind == "MATLAB Function" else RULES.get(block.kind)
+        if rule is None:
             self._refuse(key, f"the block type {block.kind} is not translated")
             return True
         try:
@@ -394,7 +400,7 @@ class _Import:
         asked = Asked(block, path, values, names, [one or Signal() for one in inputs], self.dt)
 
         def translate() -> None:
-            made = RULES[block.kind](asked)
+            made = rule(asked)
             self.made[key] = made
             for k, signal in enumerate(made.outputs):
                 self.signals[*key, k + 1] = signal
@@ -403,6 +409,24 @@ class _Import:
 
         self._try(key, translate)
         return True
+
+    def _code(self, path: str, block: Block) -> str:
+        where = f"{path}/{escaped(block.name)}".lstrip("/")
+        return next((one.text for one in self.model.charts if one.function and collapsed(one.path) == where), "")
+
+    def _matlab_function(self, path: str, block: Block) -> Rule:
+        """Return the rule of a MATLAB Function: its code stands with the charts, by its path."""
+        code = self._code(path, block)
+
+        def made(c: Asked) -> Made:
+            if not code:
+                raise Refused("its code is not in the file")
+            if any(one.kind != "real" for one in c.inputs):
+                raise Refused("inputs that are not double are not translated")
+            item = MatlabFunction(code, [one.width for one in c.inputs], c.names)
+            return Made(item, [Signal("real", port.width) for port in item.outputs], expand=False)
+
+        return made
 
     def _refuse(self, key: tuple[str, str], why: str) -> None:
         block = self.blocks[key]

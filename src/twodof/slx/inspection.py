@@ -55,7 +55,11 @@ VALUES: dict[str, tuple[str, ...]] = {
     "Integrator": ("InitialCondition", "UpperSaturationLimit", "LowerSaturationLimit"),
     "Lookup": ("InputValues", "Table"),
     "Lookup_n-D": ("Table", *(f"BreakpointsForDimension{n}" for n in range(1, 5))),
-    "PID Controller": (*"PIDNbc", "Kb", "Kt", *(f"InitialConditionFor{one}" for one in ("Integrator", "Filter"))),
+    "PID Controller": (
+        *"PIDNbc",
+        *("Kb", "Kt", "InitialConditionForIntegrator", "InitialConditionForFilter"),
+        *("UpperSaturationLimit", "LowerSaturationLimit"),
+    ),
     "Quantizer": ("QuantizationInterval",),
     "RandomNumber": ("Mean", "Variance", "Seed"),
     "RateLimiter": ("RisingSlewLimit", "FallingSlewLimit", "InitialCondition"),

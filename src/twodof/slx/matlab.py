@@ -33,9 +33,11 @@ from twodof.slx.matlab_values import (
     as_array,
     bounded,
     indexed,
+    is_signal,
     joined,
     number,
     numeric,
+    of_signals,
     scalar,
     stored,
 )
@@ -495,7 +497,7 @@ class _Parser:
             raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
         try:
             with np.errstate(all="ignore"):
-                value = FUNCTIONS[name](*arguments)
+                value = of_signals(name, arguments) if any(map(is_signal, arguments)) else FUNCTIONS[name](*arguments)
         except (TypeError, ValueError, IndexError, np.linalg.LinAlgError, OverflowError, MemoryError) as reason:
             raise NotComputed(f"{name}: {reason}") from None
         return bounded(value)

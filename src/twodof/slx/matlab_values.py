@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.elementary import functions
+from twodof.blocks.expressions.expr import maximum, minimum, sqrt
+
 Array = NDArray[Any]
 Value = Any
 """An array, a text, a structure or a cell array."""
@@ -264,6 +267,10 @@ def _real(function: Callable[..., Any], low: float, high: float = math.inf) -> C
 
 
 def _power(a: Array, b: Array) -> Array:
+    if is_signal(a) or is_signal(b):
+        if is_signal(b) or b.size != 1 or float(b.flat[0]) not in (2.0, 3.0):
+            raise ValueError("a signal has only the powers 2 and 3")
+        return a * a if float(b.flat[0]) == 2.0 else a * a * a
     if ((a < 0) & (b != np.floor(b))).any():
         raise ValueError("complex numbers are not computed")
     return np.asarray(np.power(a, b))
@@ -297,6 +304,50 @@ OPERATORS: dict[str, Callable[[Array, Array], Array]] = {
     "&&": lambda a, b: np.array([[bool(a.all()) and bool(b.all())]]),
     "||": lambda a, b: np.array([[bool(a.all()) or bool(b.all())]]),
 }  # fmt: skip
+
+
+def is_signal(value: Value) -> bool:
+    """Return True for an array that holds recorded signals."""
+    return isinstance(value, np.ndarray) and value.dtype == object
+
+
+_SHAPES = (
+    "reshape",
+    "transpose",
+    "numel",
+    "size",
+    "length",
+    "repmat",
+    "diag",
+    "isempty",
+    "fliplr",
+    "flipud",
+    "sum",
+    "times",
+)
+"""Functions that arrange or add elements, whatever they are."""
+_ON_SIGNALS: dict[str, Callable[..., Any]] = {
+    "sin": functions.sin, "cos": functions.cos, "tan": functions.tan, "asin": functions.asin, "acos": functions.acos,
+    "atan": functions.atan, "atan2": functions.atan2, "tanh": functions.tanh, "exp": functions.exp,
+    "log": functions.log, "floor": functions.floor, "ceil": functions.ceil, "fix": functions.trunc, "sqrt": sqrt,
+    "abs": abs, "max": maximum, "min": minimum, "double": lambda v: v, "hypot": functions.hypot,
+}  # fmt: skip
+
+
+def of_signals(name: str, arguments: list[Value]) -> Value:
+    """Return a function of arrays of which some hold signals. Raises NotComputed for a function without one."""
+    if name in _SHAPES:
+        return FUNCTIONS[name](*arguments)
+    if name == "cross" and len(arguments) == 2:
+        (a, b, c), (d, e, f) = (list(as_array(one).flatten()) for one in arguments)
+        made = np.empty(3, dtype=object)
+        made[:] = [b * f - c * e, c * d - a * f, a * e - b * d]
+        return made.reshape(as_array(arguments[0]).shape)
+    if name == "dot" and len(arguments) == 2:
+        return as_array(arguments[0]).reshape(1, -1) @ as_array(arguments[1]).reshape(-1, 1)
+    if name not in _ON_SIGNALS or (name in ("max", "min") and len(arguments) != 2):
+        raise NotComputed(f"{name} of a signal is not translated")
+    return np.frompyfunc(_ON_SIGNALS[name], len(arguments), 1)(*map(as_array, arguments))
 
 
 FUNCTIONS: dict[str, Callable[..., Value]] = {
