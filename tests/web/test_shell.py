@@ -65,3 +65,11 @@ def test_a_link_of_an_earlier_start_is_named(built_page: Path, tmp_path: Path, o
         page.goto(f"http://{server.host}/?token=a-token-of-the-present-start-1234")
         expect(page.get_by_text("This link is of an earlier start of the server.")).to_have_count(0)
         expect(page.get_by_role("heading", name="No drone yet")).to_be_visible()
+
+
+def test_a_token_of_an_earlier_start_is_forgotten(built_page: Path, tmp_path: Path, open_page: OpenPage) -> None:
+    """A link with a token was opened in this tab; then `up` was started without one, and its plain link is opened."""
+    with lab_served(tmp_path) as server:
+        link = f"http://{server.host}/"
+        page = open_page(f"{link}?token=a-token-of-an-earlier-start-12345", expects=("401", "WebSocket", "ERR_"))
+        expect(page.get_by_role("heading", name="No drone yet")).to_be_visible()

@@ -328,8 +328,12 @@ def test_rows_go_on_after_the_drone_has_restarted(tmp_path: Path) -> None:
         reached = BOOT + 2.0  # a slow machine may connect again only after half a second
         while client.frame().times[-1] < reached:
             pass
+        assert server.ask("POST", "/api/drones/1/lease").status == 200
+        client.event("drone", ours_leases=True)
         first.close()
-        assert client.event("drone", link="lost")["state"]["why_lost"]
+        lost = client.event("drone", link="lost")["state"]
+        assert lost["why_lost"]
+        assert lost["lease_holder"] is None, "the page would say that another client commands"
         assert server.ask("POST", "/api/drones/1/arm").status == 504
         second.enter_context(on_board(there.url.replace("tcp:", "tcpin:"), conditions={"rings": True}))
         client.event("drone", link="heard")

@@ -12,7 +12,7 @@ export class ApiError extends Error {
   }
 }
 
-const TOKEN = "twodof-token";
+export const TOKEN = "twodof-token";
 
 /** Store the token of a link `?token=...` for this tab and remove it from the address. */
 export function takeToken(): void {

@@ -1,6 +1,6 @@
 import { route } from "../app/route.svelte";
 import { linkTo } from "../app/read_route";
-import { ApiError, labSession } from "../api/client";
+import { ApiError, labSession, TOKEN } from "../api/client";
 import { listDrones, listTexts, type DroneState, type DroneText } from "../api/drones";
 import { telemetry, type LabEvent, type Telemetry } from "../api/telemetry";
 import { ClockWatch, type ClockEvent } from "./clock_watch";
@@ -106,6 +106,7 @@ class Session {
       await labSession();
     } catch (failure) {
       this.refused = !this.connected && failure instanceof ApiError && failure.status === 401;
+      if (this.refused) sessionStorage.removeItem(TOKEN); // a server that was started without one lets this page in
     }
   }
 

@@ -130,7 +130,7 @@ class LabDrone:
     def state(self) -> dict[str, Any]:
         """State for clients; see docs/reference/lab-routes.md."""
         if self._connection is None:
-            return {**self._last, "link": "lost", "why_lost": self._why_lost, "ours_leases": False}
+            return dict(self._last, link="lost", why_lost=self._why_lost, ours_leases=False, lease_holder=None)
         return self._connection.report()
 
     @property
