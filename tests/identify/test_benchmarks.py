@@ -20,7 +20,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
             {"test": 0.30, "arrow": 0.40, "arrow, no extrapolation": 0.32},
         ),
         # [V]; the physical models that have been published have .2 to .4.
-        ("cascaded_tanks", "dataBenchmark.csv", {"test": 0.25}),
+        ("cascaded_tanks", "dataBenchmark.csv", {"test": 0.24}),
     ],
 )
 def test_the_example_predicts_the_test_data(

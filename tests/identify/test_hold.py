@@ -9,10 +9,10 @@ from scipy.signal import lsim
 from twodof.blocks import Diagram
 from twodof.blocks.library import FirstOrder, Gain, Sum
 from twodof.errors import IdentificationError
-from twodof.identify import Record
+from twodof.identify import Record, fit
 from twodof.identify.record import HOLDS
 from twodof.identify.record_simulator import RecordSimulator, ticks
-from twodof.models import Structure, pitch_rate
+from twodof.models import Structure, linear_model, pitch_rate
 from twodof.models.plant import PitchRate
 
 pytestmark = pytest.mark.slow
@@ -102,3 +102,28 @@ def test_a_hold_that_is_not_there_is_refused() -> None:
         Record.from_columns(TIME, table, ["u"], ["y"], hold={"y": "linear"})
     with pytest.raises(IdentificationError, match="smooth"):
         Record.from_columns(TIME, table, ["u"], ["y"], smooth=["u"], hold="linear")
+
+
+@pytest.mark.parametrize("disturbance", ["auto", "white"])
+def test_a_wrong_hold_is_named_and_the_named_one_mends_it(disturbance: str) -> None:
+    spring = linear_model(
+        [[0, 1], ["-k", "-d"]],
+        [[0], ["b"]],
+        [[1, 0]],
+        inputs=["u"],
+        outputs=["y"],
+        guess={"k": 5000.0, "d": 10.0, "b": 5000.0},
+    )
+    generator = np.random.default_rng(1)
+    bins = np.where((np.arange(N // 2 + 1) > 0) & (np.arange(N // 2 + 1) < 0.3 * N), 1.0, 0.0)  # up to 75 of 125 Hz
+    u = np.fft.irfft(bins * np.exp(2j * np.pi * generator.uniform(size=bins.size)), N) * math.sqrt(N)
+    truth = {"k": 7000.0, "d": 5.0, "b": 7000.0, "x1_0": 0.0, "x2_0": 0.0}
+    y = simulated(spring, truth, u, "band-limited", "y")
+    y = y + 1e-3 * y.std() * generator.standard_normal(N)
+    table = {"u": u, "y": y}
+    wrong = fit(spring, Record.from_columns(TIME, table, ["u"], ["y"]), disturbance=disturbance)  # type: ignore[arg-type]
+    assert any("hold='band-limited'" in remark for remark in wrong.remarks), wrong.table()
+    right = fit(spring, Record.from_columns(TIME, table, ["u"], ["y"], hold="band-limited"))
+    assert right.identification[0].fit_percent > 99.8
+    assert abs(right["k"] - 7000.0) < 4.0 * right.sigma("k")
+    assert not right.suggestions

@@ -50,6 +50,8 @@ _ASTRAY = 1.5
 """Error of a simulation, over what moves in the output, that no right model makes."""
 _BETTER = 0.8
 """Residual over the present one that makes a suggestion worth its words."""
+_FAR_BETTER = 0.5
+"""The same where the input seems to answer the output: feedback, too, makes a later input fit better."""
 _ALIKE = 1.05
 """Residual of an offset over that of the best one, up to which both are named."""
 _TRIES = 20
@@ -181,9 +183,12 @@ def fit(
     )
     compared = _comparisons(problem, minimum.x, found)
     poor = any(one.fit_percent < _POOR for one in compared)
-    # In closed loop the input answers what the model leaves out, and a prediction has taken it up.
-    explained = bool(found.model.answering) or found.predictor is not None or band is not None
+    # In closed loop the input answers what the model leaves out, and a prediction has taken it up. But an input that
+    # moves on between its samples looks like one that answers, unless a delay may make up for it.
+    answered = bool(found.model.answering)
+    explained = (answered and bool(structure.delay)) or found.predictor is not None or band is not None
     explained = explained or passes(problem, problem.residual(minimum.x))
+    further = () if explained else _suggestions(problem, posed, minimum.x, poor and not answered, answered)
     sigmas = dict(zip(problem.noise(), (problem.sigma * found.deviation).tolist(), strict=True))
     return Estimate(
         structure=structure.name,
@@ -208,7 +213,7 @@ def fit(
         gaps=tuple(_gaps(structure, several)),
         offsets=tuple(_offsets(problem, wanted, poor)),
         model=structure,
-        suggestions=(*_in_degrees(problem), *(() if explained else _suggestions(problem, posed, minimum.x, poor))),
+        suggestions=(*_in_degrees(problem), *further),
     )
 
 
@@ -377,6 +382,7 @@ def _suggestions(
     posed: Callable[[Sequence[Record], Mapping[str, float] | None], Problem],
     x: Array,
     poor: bool,
+    answered: bool,
 ) -> Iterator[str]:
     """Yield the offset and the hold of inputs with which output error would leave much less of the data."""
 
@@ -408,7 +414,7 @@ def _suggestions(
         if moving
     }
     best = min(held, key=lambda hold: held[hold], default="")
-    if best and held[best] < _BETTER * before:
+    if best and held[best] < (_FAR_BETTER if answered else _BETTER) * before:
         yield (
             f"{' and '.join(moving)} may move on between samples: with hold='{best}' the residual falls to "
             f"{held[best] / before:.2g} of itself. Make the record with it (--hold {moving[0]}={best})"
