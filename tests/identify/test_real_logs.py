@@ -8,8 +8,8 @@ import pytest
 from tools.real_flights import RealFlight, agreement, compared, real_flights
 from twodof.errors import IdentificationError, LogError
 from twodof.flightlog.files import read_log
+from twodof.flightlog.rotor_speed import rotor_speed
 from twodof.identify import Estimate, Record, fit, frequency_response
-from twodof.identify.rotor_speed import rotor_speed
 from twodof.identify.simple_pitch import read_free_response
 from twodof.models import free_response, pitch_rate, velocity
 

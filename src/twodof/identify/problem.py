@@ -162,7 +162,9 @@ class Problem:
         plain = x.tolist()
         return self._simulators[record].run({name: plain[i] for name, i in self._pick[record].items()})
 
-    def minimise(self, x: Array, whiten: Callable[[Array], Array] | None = None) -> LeastSquaresMinimum:
+    def minimise(
+        self, x: Array, whiten: Callable[[Array], Array] | None = None, tolerance: float = 1e-10
+    ) -> LeastSquaresMinimum:
         """Search the least squares from `x` on; `whiten` takes a known noise out of residual and Jacobian.
 
         Dry friction makes kinks, where the derivatives promise a decrease that no step gives. There the search goes on
@@ -175,7 +177,7 @@ class Problem:
         def jacobian(x: Array, known: Array) -> Array:
             return self.jacobian(x, known) if whiten is None else whiten(self.jacobian(x, self.residual(x)))
 
-        found = minimise(residual, jacobian, x, self.lower, self.upper)
+        found = minimise(residual, jacobian, x, self.lower, self.upper, tolerance=tolerance)
         for _ in range(_TURNS):
             if found.converged or not np.isfinite(slopes := jacobian(found.x, found.residual)).all():
                 break
@@ -188,7 +190,7 @@ class Problem:
             better = int(np.argmin(costs))
             if not costs[better] < found.cost:
                 return replace(found, converged=True)
-            found = minimise(residual, jacobian, around[better], self.lower, self.upper)
+            found = minimise(residual, jacobian, around[better], self.lower, self.upper, tolerance=tolerance)
         return found
 
     def residual(self, x: Array) -> Array:

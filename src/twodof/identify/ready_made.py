@@ -9,6 +9,7 @@ import numpy as np
 
 from twodof.errors import IdentificationError, shown
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.rotor_speed import supply_of
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.estimate import Estimate
@@ -16,7 +17,6 @@ from twodof.identify.experiments import KINDS, free_swing, in_motion, kind_of, o
 from twodof.identify.greybox import fit
 from twodof.identify.record import SHORTEST_PIECE, Record
 from twodof.identify.repeated import Repeated, check_repetitions
-from twodof.identify.rotor_speed import supply_of
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.identify.validate import deviations

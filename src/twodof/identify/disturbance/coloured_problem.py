@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,15 +201,13 @@ class ColouredProblem:
     ones. The cost is the likelihood that is left. It joins the sum of squares and the logarithms of the deviations:
     exp(2 mean log deviation) |prefiltered residual|^2. The Jacobian is that of Kaufman's variable projection (1975):
     the prefiltered sensitivities less what a change of the coefficients would do to the same rows. So it holds in
-    closed loop too, where input and earlier noise go together. With `given` autoregressions, one for each block, the
-    colour is known: the cost is the sum of squares, and the Jacobian is prefiltered only.
+    closed loop too, where input and earlier noise go together. With `given` noises, autoregressions or walks, one for
+    each block, the colour is known: the cost is the sum of squares, and the Jacobian is prefiltered only.
 
     With `swing` (`swing_of`) rows pass that filter first, and the autoregression is that of the pushes.
     """
 
-    def __init__(
-        self, problem: Problem, given: Sequence[Autoregression] = (), swing: tuple[Array, Array] | None = None
-    ) -> None:
+    def __init__(self, problem: Problem, given: Sequence[Any] = (), swing: tuple[Array, Array] | None = None) -> None:
         self.problem, self._given = problem, tuple(given)
         groups = [(k,) for k in range(len(given))] if given else problem.noises
         self._noises = [NoiseRows(problem, noise, swing) for noise in groups]
@@ -276,6 +275,10 @@ class ColouredProblem:
     def whitened(self, x: Array) -> Array:
         """Return the prediction errors at x, over their standard deviations."""
         return self._whiten(*self.at(x))
+
+    def whiten(self, rows: Array) -> Array:
+        """Return rows of all blocks, prefiltered by the `given` noise; those of the prior as they are."""
+        return self._whiten(rows, self._given)
 
     def at(self, x: Array) -> tuple[Array, tuple[Autoregression, ...]]:
         """Return the weighted residual at x and its noise models, by noise; no models if it is not finite."""

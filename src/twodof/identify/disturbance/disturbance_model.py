@@ -87,12 +87,7 @@ class DisturbanceModel:
             gains = ", ".join(f"{name} {value:.3g}" for name, value in self.gains.items())
             return f"noise at the states and the outputs, which a predictor corrects with gains {gains}"
         if self.kind == "walk":
-            walks = (
-                f"{label}: white {one.white:.2g}, pushes of "
-                + " and ".join(f"{density:.2g} at {state.removesuffix('_0')}" for state, density in one.pushes.items())
-                for label, one in self.walks.items()
-            )
-            return f"a walk of states under random pushes [1/sqrt(s)], {'; '.join(walks)}"
+            return f"pushes at the states, in {', '.join(f'{label}: {one.text}' for label, one in self.walks.items())}"
         if self.kind == "input":
             pushes = ", ".join(
                 f"{label}: standard deviation {one.std:.2g}, correlation time {one.correlation_time:.2g} s"

@@ -8,7 +8,9 @@ the most likely ones given that the structure's unknowns were fitted to the same
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,7 @@ USUAL_S, FACTOR = 0.15, 2.0
 """A short record hardly tells the correlation time. It is taken to be .15 s to a factor of 2 (one standard deviation of
 its logarithm), as gusts and the rotors' own wake have it; the data say the rest."""
 
+_IMPOSSIBLE = 1e10
 _ORDER = 40
 _RESPONSE = 400
 _LINEAR = 1e-6
@@ -51,17 +54,15 @@ class Gust:
     radius: float = 0.0
 
 
-class GustModel:
-    """Restricted likelihood and covariance of one output of one record under a gust, by `theta` (see `_BOUNDS`)."""
+class PushModel:
+    """Restricted likelihood of one output of one record under pushes, by `theta`, their logarithms among it."""
 
-    def __init__(self, problem: Problem, x: Array, block: int, theta: Array | None = None) -> None:
+    bounds: Sequence[tuple[float, float]]
+
+    def __init__(self, problem: Problem, x: Array, block: int) -> None:
         rows = problem.blocks[block]
-        record = problem.records[rows.record]
-        self.input, self.dt = problem.structure.inputs[0], record.dt
         self.unit = float(problem.sigma[block])
-        self.pieces = pieces_of(record.outputs[rows.output].position)
-        response = impulse_response(problem, x, rows.record, rows.output)
-        assert response is not None
+        self.pieces = pieces_of(problem.records[rows.record].outputs[rows.output].position)
         raw, jacobian = problem.residual(x), problem.central_jacobian(x)
         self._raw, known = raw[rows.rows], raw[problem.size :]
         prior, jacobian = jacobian[problem.size :], jacobian[rows.rows]
@@ -70,6 +71,51 @@ class GustModel:
         self._both = np.column_stack([jacobian[:, seen] / length[seen], self._raw])
         before = np.column_stack([prior[:, seen] / length[seen], known])
         self._before = before.T @ before
+        self.theta = np.zeros(0)
+
+    def noise(self, theta: Array) -> Any:
+        """Return the noise in units of the residual's weight. Raises LinAlgError where rounding rules."""
+        raise NotImplementedError
+
+    def prior(self, theta: Array) -> float:
+        """-log of what is known of `theta`."""
+        raise NotImplementedError
+
+    def cost(self, theta: Array) -> float:
+        """-log of the restricted likelihood, and the prior."""
+        try:
+            model = self.noise(theta)
+        except np.linalg.LinAlgError:
+            return _IMPOSSIBLE
+        white = model.whiten(self._both, self.pieces)
+        gram = white.T @ white + self._before
+        normal, last = gram[:-1, :-1], gram[:-1, -1]
+        sign, log_determinant = np.linalg.slogdet(normal)
+        if not (sign > 0.0 and np.isfinite(gram).all()):
+            return _IMPOSSIBLE
+        left = float(gram[-1, -1] - last @ np.linalg.lstsq(normal, last, rcond=1e-12)[0])
+        return float(model.log_deviations(self.pieces)) + 0.5 * (float(log_determinant) + left) + self.prior(theta)
+
+    def improve(self, iterations: int) -> Any:
+        """Take the most likely `theta`, searched for from the present one; the noise that it means."""
+        from scipy.optimize import minimize  # imported late: most commands start without it
+
+        options = {"maxiter": iterations, "ftol": 3e-6}
+        self.theta = minimize(self.cost, self.theta, method="L-BFGS-B", bounds=self.bounds, options=options).x
+        return self.noise(self.theta)
+
+
+class GustModel(PushModel):
+    """Restricted likelihood and covariance of one output of one record under a gust, by `theta` (see `_BOUNDS`)."""
+
+    bounds = _BOUNDS
+
+    def __init__(self, problem: Problem, x: Array, block: int, theta: Array | None = None) -> None:
+        super().__init__(problem, x, block)
+        rows = problem.blocks[block]
+        self.input, self.dt = problem.structure.inputs[0], problem.records[rows.record].dt
+        response = impulse_response(problem, x, rows.record, rows.output)
+        assert response is not None
         self._size = 1 << (2 * response.size + _ORDER).bit_length()
         self._power = np.abs(np.fft.rfft(response / self.unit, self._size)) ** 2
         self._turn = 2.0 * np.pi * np.arange(self._power.size) / self._size
@@ -84,26 +130,8 @@ class GustModel:
         covariance[0] += math.exp(2.0 * white)
         return from_covariance(covariance)
 
-    def cost(self, theta: Array) -> float:
-        """-log of the restricted likelihood, and the prior of the correlation time."""
-        model = self.noise(theta)
-        white = model.whiten(self._both, self.pieces)
-        gram = white.T @ white + self._before
-        normal, last = gram[:-1, :-1], gram[:-1, -1]
-        sign, log_determinant = np.linalg.slogdet(normal)
-        left = float(gram[-1, -1] - last @ np.linalg.lstsq(normal, last, rcond=1e-12)[0])
-        if not (sign > 0.0 and math.isfinite(left)):
-            return 1e10
-        prior = 0.5 * ((theta[1] - math.log(USUAL_S)) / math.log(FACTOR)) ** 2
-        return model.log_deviations(self.pieces) + 0.5 * (float(log_determinant) + left) + float(prior)
-
-    def improve(self, iterations: int) -> Autoregression:
-        """Take the most likely `theta`, searched for from the present one; the noise that it means."""
-        from scipy.optimize import minimize  # imported late: most commands start without it
-
-        options = {"maxiter": iterations, "ftol": 3e-6}
-        self.theta = minimize(self.cost, self.theta, method="L-BFGS-B", bounds=_BOUNDS, options=options).x
-        return self.noise(self.theta)
+    def prior(self, theta: Array) -> float:
+        return float(0.5 * ((theta[1] - math.log(USUAL_S)) / math.log(FACTOR)) ** 2)
 
     @property
     def gust(self) -> Gust:

@@ -1,8 +1,8 @@
 """Which noise model a fit takes, and the estimate under it."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,8 @@ from twodof.identify.covariance import check_identifiable, covariance, robust_co
 from twodof.identify.disturbance.coloured_problem import SWING, ColouredProblem, swing_of, widened
 from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel, inputs_that_answer
 from twodof.identify.disturbance.gust import GustModel, can_be_pushed
-from twodof.identify.disturbance.walk import MOST, Walk, WalkModel
-from twodof.identify.least_squares import LeastSquaresMinimum, minimise
+from twodof.identify.disturbance.walk import MOST, WalkModel
+from twodof.identify.least_squares import LeastSquaresMinimum
 from twodof.identify.problem import Problem
 from twodof.identify.validate import is_rounding, whiteness
 
@@ -95,16 +95,16 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
     residual, jacobian = problem.residual(minimum.x), problem.central_jacobian(minimum.x)
     white = Disturbed(minimum, jacobian, residual, np.ones(len(problem.blocks)), DisturbanceModel())
     passed = problem.band is not None or passes(problem, white.prediction_error)
-    if disturbance == "walk" and _can_walk(problem):
-        return _settled(problem, white, _walked(problem, minimum))
+    asked = disturbance == "walk" or (disturbance == "auto" and not passed)
+    if asked and not noise_given and _can_walk(problem):
+        answers = inputs_that_answer(problem, white.prediction_error)
+        return _settled(problem, white, _pushed_from(problem, minimum.x, answers, walks=True))
     if passed:
         return white if disturbance in ("auto", "white") else _asked(problem, minimum, disturbance, ())
     answering = inputs_that_answer(problem, white.prediction_error)
     white = replace(white, model=DisturbanceModel(answering=answering))
     if disturbance == "white" or noise_given:
         return white
-    if disturbance == "auto" and _can_walk(problem):
-        return _settled(problem, white, _walked(problem, minimum))
     samples = np.array([block.rows.stop - block.rows.start for block in problem.blocks])
     short = samples.min() < (LONG if answering else _SLOW * LONG)
     if disturbance == "auto" and short and can_be_pushed(problem, problem.x0, sure=True):
@@ -187,15 +187,16 @@ def _pushed(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[str
     return min(tried, key=lambda one: one.cost if math.isfinite(one.cost) else math.inf)
 
 
-def _pushed_from(problem: Problem, x: Array, answering: tuple[str, ...]) -> Disturbed:
-    """Search the most likely unknowns under a gust, from the guess `x`."""
+def _pushed_from(problem: Problem, x: Array, answering: tuple[str, ...], walks: bool = False) -> Disturbed:
+    """Search the most likely unknowns under a gust, or where a state `walks` under its pushes, from the guess `x`."""
+    pushed = WalkModel if walks else GustModel
     thetas: list[Array | None] = [None] * len(problem.blocks)
     for turn in range(_TURNS):
-        gusts = [GustModel(problem, x, k, theta) for k, theta in enumerate(thetas)]
+        gusts: list[Any] = [pushed(problem, x, k, theta) for k, theta in enumerate(thetas)]
         models = [gust.improve(15 if turn else 40) for gust in gusts]
         thetas = [gust.theta for gust in gusts]
         filtered = ColouredProblem(problem, models)
-        minimum = minimise(filtered.residual, filtered.jacobian, x, problem.lower, problem.upper, tolerance=1e-6)
+        minimum = problem.minimise(x, filtered.whiten, 1e-6)
         jacobian = filtered.sensitivities(minimum.x)
         moved = float(np.linalg.norm(jacobian @ (minimum.x - x)))
         x = minimum.x
@@ -205,45 +206,20 @@ def _pushed_from(problem: Problem, x: Array, answering: tuple[str, ...]) -> Dist
     # After the last turn the unknowns moved by less than a fifth of a standard deviation or so in all trials.
     ended = replace(minimum, residual=error, converged=minimum.converged and (stands or moved < 0.5))
     noise = {label: model.scaled(s) for (label, s), model in zip(problem.noise().items(), models, strict=True)}
-    found = DisturbanceModel("input", noise, answering, dt=problem.records[0].dt)
-    found = replace(found, gusts={label: gust.gust for label, gust in zip(noise, gusts, strict=True)})
+    found = DisturbanceModel("walk" if walks else "input", {}, answering, dt=problem.records[0].dt)
+    if walks:
+        found, deviation = replace(found, walks=noise), np.array([model.white for model in models])
+    else:
+        pushes = {label: gust.gust for label, gust in zip(noise, gusts, strict=True)}
+        found, deviation = replace(found, noise=noise, gusts=pushes), _deviation(problem, problem.residual(x))
     cost = 0.5 * float(error @ error) + filtered.log_deviations(models)
-    return Disturbed(ended, jacobian, error, _deviation(problem, problem.residual(x)), found, cost)
+    return Disturbed(ended, jacobian, error, deviation, found, cost)
 
 
 def _can_walk(problem: Problem) -> bool:
     """Return True if each record has one output, not too long, and the structure says which of its states walk."""
     one = len(problem.blocks) == len(problem.records) and problem.band is None
     return one and bool(problem.structure.pushed) and problem.size <= MOST * len(problem.blocks)
-
-
-def _walked(problem: Problem, minimum: LeastSquaresMinimum) -> Disturbed:
-    """Search the most likely unknowns under a walk of the pushed states."""
-    x, stands = minimum.x, False
-    thetas: list[Array | None] = [None] * len(problem.blocks)
-    for turn in range(_TURNS):
-        models = [WalkModel(problem, x, k, theta) for k, theta in enumerate(thetas)]
-        noises = [model.improve(15 if turn else 40) for model in models]
-        thetas = [model.theta for model in models]
-
-        def whiten(rows: Array, noises: Sequence[Walk] = tuple(noises)) -> Array:
-            white = rows.copy()
-            for block, noise in zip(problem.blocks, noises, strict=True):
-                white[block.rows] = noise.whiten(rows[block.rows])
-            return white
-
-        found = problem.minimise(x, whiten)
-        jacobian = whiten(problem.central_jacobian(found.x))
-        moved = float(np.linalg.norm(jacobian @ (found.x - x)))
-        x = found.x
-        if stands := moved < _STILL or not math.isfinite(found.cost):
-            break
-    ended = replace(found, converged=found.converged and (stands or moved < 0.5))
-    error = whiten(problem.residual(x))
-    units = problem.noise()
-    walks = {label: noise.scaled(unit) for (label, unit), noise in zip(units.items(), noises, strict=True)}
-    model = DisturbanceModel("walk", {}, inputs_that_answer(problem, error), dt=problem.records[0].dt, walks=walks)
-    return Disturbed(ended, jacobian, error, np.array([noise.white for noise in noises]), model)
 
 
 def _deviation(problem: Problem, raw: Array) -> Array:

@@ -6,13 +6,13 @@ response of the output to a jump of that state. How dense the pushes are is most
 unknowns were fitted to the same samples: restricted likelihood (Patterson and Thompson, 1971).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.identify.disturbance.gust import PushModel
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples
 from twodof.identify.record_simulator import RecordSimulator
@@ -24,7 +24,6 @@ MOST = 1500
 
 _JUMP = 1e-3
 _BOUNDS = (-25.0, 5.0)
-_IMPOSSIBLE = 1e10
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +37,12 @@ class Walk:
     pushes: Mapping[str, float]
     factor: Array = field(repr=False)
     order: int = 0
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        pushes = " and ".join(f"{size:.2g}/sqrt(s) at {name.removesuffix('_0')}" for name, size in self.pushes.items())
+        return f"{pushes}, beside white noise of {self.white:.2g}"
 
     def scaled(self, factor: float) -> "Walk":
         """Return the same noise in another unit of the output."""
@@ -54,56 +59,24 @@ class Walk:
         return float(np.log(np.diag(self.factor)).sum())
 
 
-class WalkModel:
+class WalkModel(PushModel):
     """Restricted likelihood of one output of one record, by `theta`: logarithms of white noise and of each density."""
 
     def __init__(self, problem: Problem, x: Array, block: int, theta: Array | None = None) -> None:
-        rows = problem.blocks[block]
+        super().__init__(problem, x, block)
         self.known = problem.structure.pushed
-        self._unit = float(problem.sigma[block])
+        self.bounds = [_BOUNDS] * (1 + len(self.known))
         self._spreads = spreads(problem, x, block)
-        raw, jacobian = problem.residual(x), problem.central_jacobian(x)
-        length = np.linalg.norm(jacobian, axis=0)
-        jacobian = jacobian[:, length > 0.0] / length[length > 0.0]
-        self._both = np.column_stack([jacobian, raw])[rows.rows]
-        before = np.column_stack([jacobian, raw])[problem.size :]
-        self._before = before.T @ before
-        self._start = np.array([math.log(self._unit), *(math.log(density) for density, _ in self.known.values())])
-        self.theta = self._start if theta is None else theta
+        self._first = np.log([self.unit, *(density for density, _ in self.known.values())])
+        self.theta = self._first if theta is None else theta
 
     def noise(self, theta: Array) -> Walk:
-        """Return the noise in units of the residual's weight. Raises LinAlgError where rounding rules."""
         white, *densities = np.exp(theta).tolist()
-        pushes = dict(zip(self.known, densities, strict=True))
-        return walk(white, pushes, self._spreads).scaled(1.0 / self._unit)
+        return walk(white, dict(zip(self.known, densities, strict=True)), self._spreads).scaled(1.0 / self.unit)
 
-    def cost(self, theta: Array) -> float:
-        """-log of the restricted likelihood, and the priors of the densities."""
-        try:
-            model = self.noise(theta)
-        except np.linalg.LinAlgError:
-            return _IMPOSSIBLE
-        rows = model.whiten(self._both)
-        gram = rows.T @ rows + self._before
-        if not np.isfinite(gram).all():
-            return _IMPOSSIBLE
-        normal, last = gram[:-1, :-1], gram[:-1, -1]
-        sign, log_determinant = np.linalg.slogdet(normal)
-        left = float(gram[-1, -1] - last @ np.linalg.lstsq(normal, last, rcond=1e-12)[0])
-        if not (sign > 0.0 and math.isfinite(left)):
-            return _IMPOSSIBLE
+    def prior(self, theta: Array) -> float:
         factors = np.log([factor for _, factor in self.known.values()])
-        prior = 0.5 * float((((theta - self._start)[1:] / factors) ** 2).sum())
-        return model.log_deviations() + 0.5 * (float(log_determinant) + left) + prior
-
-    def improve(self, iterations: int) -> Walk:
-        """Take the most likely `theta`, searched for from the present one; the noise that it means."""
-        from scipy.optimize import minimize  # imported late: most commands start without it
-
-        options = {"maxiter": iterations, "ftol": 1e-5}
-        bounds = [_BOUNDS] * self.theta.size
-        self.theta = minimize(self.cost, self.theta, method="L-BFGS-B", bounds=bounds, options=options).x
-        return self.noise(self.theta)
+        return 0.5 * float((((theta - self._first)[1:] / factors) ** 2).sum())
 
 
 def walk(white: float, pushes: Mapping[str, float], covariances: Mapping[str, Array]) -> Walk:
