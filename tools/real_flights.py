@@ -68,17 +68,8 @@ COLUMNS: Mapping[str, tuple[str, float, str]] = {
     "supply": ("supply", 1.0, ".3f"),
 }
 PITCH, RAIL = ("mu", "tau", "w_n", "xi", "coulomb"), ("k_v", "p_v", "coulomb", "supply")
-COMPARED = (
-    ("mu", ""),
-    ("tau", ""),
-    ("xi", "rings"),
-    ("xi", "free"),
-    ("w_n", "rings"),
-    ("w_n", "free"),
-    ("k_v", ""),
-    ("p_v", ""),
-)
-"""Figures that are compared, between all flights with running rotors or those of one cart."""
+COMPARED = ("mu", "tau", "w_n", "xi", "k_v", "p_v")
+"""Figures that are compared between flights with running rotors; along the rail tau is the range's age."""
 
 
 def real_flights(*folders: Path, kinds: Sequence[str] = ()) -> Iterator[tuple[RealFlight, Estimate]]:
@@ -125,11 +116,11 @@ def agreement(found: Sequence[Estimate], figure: str) -> Agreement:
     )
 
 
-def compared(flights: Sequence[tuple[RealFlight, Estimate]], figure: str, cart: str = "") -> list[Estimate]:
-    """The converged fits that tell a figure of the drone with its rotors running; along the rail tau is the range's."""
+def compared(flights: Sequence[tuple[RealFlight, Estimate]], figure: str) -> list[Estimate]:
+    """The converged fits that tell a figure of the drone with its rotors running."""
     along = figure in ("k_v", "p_v")
     told = [one for one in flights if one[0].cart != "at rest" and (one[0].kind == "velocity") == along]
-    return [found for one, found in told if found.converged and cart in ("", one.cart)]
+    return [found for _, found in told if found.converged]
 
 
 def table(flights: Sequence[tuple[RealFlight, Estimate]]) -> Iterator[str]:
@@ -145,13 +136,12 @@ def table(flights: Sequence[tuple[RealFlight, Estimate]]) -> Iterator[str]:
         yield ""
     yield "| figure | flights | mean | chi-square | its 99 % point | spread | widest claim / spread |"
     yield f"|{'---|' * 7}"
-    for figure, cart in COMPARED:
+    for figure in COMPARED:
         title, factor, form = COLUMNS[figure]
-        all_ = agreement(compared(flights, figure, cart), figure)
+        all_ = agreement(compared(flights, figure), figure)
         mean, sigma, spread = (f"{factor * one:{form}}" for one in (all_.mean, all_.sigma, all_.spread))
         cells = [f"{all_.n}", f"{mean} +- {sigma}", f"{all_.square:.1f}", f"{all_.point:.1f}", spread]
-        named = f"{title} ({cart})" if cart else title
-        yield f"| {named} | {' | '.join(cells)} | {all_.widest / all_.spread:.1f} |"
+        yield f"| {title} | {' | '.join(cells)} | {all_.widest / all_.spread:.1f} |"
 
 
 def shown(found: Estimate, unknown: str) -> str:
