@@ -59,7 +59,12 @@ def test_from_a_flight_to_a_controller(lab: ServedLab, flights: dict[str, str]) 
     assert view["informative"]["enough"], view["informative"]["text"]
     assert view["simple"] is not None
     assert {"measured", "greybox", "simple", "residual"} <= set(view["outputs"][0])
-    assert lab.call("POST", "models", {"job": fit[1]["id"], "name": "first"})[1]["pitch"]
+    row = lab.call("POST", "models", {"job": fit[1]["id"], "name": "first"})[1]
+    assert row["pitch"]
+    quoted = {one["name"]: one["sigma"] for one in view["estimates"]}
+    assert {"mu", "tau"} <= {one["name"] for one in row["values"]}
+    for one in row["values"]:
+        assert one["sigma"] == quoted[one["name"]], "the list of models and the table of the fit say the same"
     made = lab.done(lab.call("POST", "models/first/controller", {"name": "for the first"}))
     assert made["robustness"]["robust"], made["robustness"]["text"]
     assert load_diagram(lab.folder / "diagrams" / made["file"]).name == made["name"] == "for_the_first"

@@ -203,6 +203,7 @@ class Estimate:
                         "unit": self.units[i],
                         "sigma": finite(self._deviation(self.covariance, label)),
                         "sigma_robust": finite(self._deviation(self.robust, label)),
+                        "sigma_quoted": finite(self.sigma(label)),
                     }
                     for i, label in enumerate(self.labels)
                 },

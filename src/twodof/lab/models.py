@@ -38,13 +38,13 @@ class _Estimated(BaseModel):
 
     value: float | None = None
     sigma: float | None = None
-    sigma_robust: float | None = None
+    sigma_quoted: float | None = None
     unit: str | None = None
 
     @property
     def quoted(self) -> float | None:
-        """Return the robust standard deviation where the document has one, which may be null."""
-        return self.sigma_robust if "sigma_robust" in self.model_fields_set else self.sigma
+        """Return the standard deviation of the fit's table, perhaps null; sums and old files have `sigma` alone."""
+        return self.sigma_quoted if "sigma_quoted" in self.model_fields_set else self.sigma
 
 
 class _Identified(BaseModel):
