@@ -17,14 +17,13 @@ from twodof.identify.information import (
     predict,
     three_two_one_ones,
 )
-from twodof.identify.model_comparison import ComparedModel, ModelTable, compare
 from twodof.identify.multi_start import LocalMinimum, MultiStart, fit_from_several
 from twodof.identify.ranking import Ranking, rank, select
 from twodof.identify.record import Record, Samples, merge
 from twodof.identify.repeated import Repeated, Spread, repeat
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
-from twodof.identify.simulation import initial_state, predict_ahead, simulate
+from twodof.identify.simulation import ComparedModel, ModelTable, compare, initial_state, predict_ahead, simulate
 from twodof.identify.subspace import SubspaceModel, subspace
 from twodof.identify.transfer_fit import TransferFactor, TransferFit, fit_transfer
 from twodof.identify.validate import (

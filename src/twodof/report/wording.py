@@ -36,6 +36,10 @@ def text(name: str) -> str:
     return resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8")
 
 
+_DIGITS = 5
+"""Digits of a value that a reader compares at a glance."""
+
+
 def plain(value: float, digits: int = 4) -> str:
     """Return `value` to `digits` significant digits, without an exponent, or an en dash for NaN."""
     if not math.isfinite(value):
@@ -47,12 +51,18 @@ def plain(value: float, digits: int = 4) -> str:
 
 
 def with_sigma(estimate: "Uncertain") -> str:
-    """Return `3.437 ± 0.012`: sigma to two significant digits, the value to the same place."""
+    """Return `3.437 ± 0.012`: sigma to two significant digits, the value to the same place.
+
+    A value has five digits at most: 3.4370 ± 0.00002 stands beside figures of real flights.
+    """
     if not math.isfinite(estimate.sigma) or estimate.sigma <= 0.0:
         return plain(estimate.value)
     decimals = max(0, 1 - math.floor(math.log10(estimate.sigma)))
     # 0.0996 rounds up to 0.10, which has its two digits one place earlier.
     decimals = max(0, 1 - math.floor(math.log10(float(f"{estimate.sigma:.{decimals}f}"))))
+    most = _DIGITS - 1 - math.floor(math.log10(abs(estimate.value))) if estimate.value else decimals
+    if decimals > most:
+        return f"{plain(estimate.value, _DIGITS)} ± {plain(estimate.sigma, 1)}"
     value = f"{estimate.value:.{decimals}f}".replace("-", "−")
     return f"{value} ± {estimate.sigma:.{decimals}f}"
 
