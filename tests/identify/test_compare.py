@@ -101,3 +101,22 @@ def test_only_records_alike_are_merged() -> None:
         merge(one, one.resample(0.02))
     with pytest.raises(IdentificationError, match="the channels"):
         merge(one, Record("x", DT, 0.0, {"v": one.inputs["u"]}, one.outputs))
+
+
+def test_gaps_are_not_filled() -> None:
+    one = record(9)
+    kept = np.delete(np.arange(N), np.arange(300, 340))
+    table = {"u": one.inputs["u"][kept], "y": one.outputs["y"].value[kept]}
+    holed = Record.from_columns(one.time[kept], table, ["u"], ["y"])
+    with pytest.raises(IdentificationError, match="has a gap"):
+        holed.resample(DT)
+    with pytest.raises(IdentificationError, match="not sampled at each step"):
+        fit("oe:2,2,1", holed)
+    found = fit("oe:2,2,1", holed.pieces())
+    assert abs(found["f1"] + 1.5) < 4.0 * found.sigma("f1")
+    # An output alone that lacks samples, and an input alone.
+    lost = Record("lost", DT, 0.0, one.inputs, {"y": Samples(kept.astype(float), table["y"])})
+    with pytest.raises(IdentificationError, match="'y' lacks 40 samples"):
+        lost.resample(DT)
+    clocks = {"u": (one.time[kept], table["u"]), "y": (one.time, one.outputs["y"].value)}
+    assert any("gap" in remark for remark in fit("oe:2,2,1", Record.from_channels(clocks, ["u"], ["y"])).remarks)

@@ -116,7 +116,7 @@ def fit(
         asked = {"estimate": estimate, "values": values, "bounds": bounds, "separate": separate, "noise": noise}
         if idle := [name for name, one in {**asked, "band": band, "prior": prior}.items() if one]:
             raise structure.error(f"a polynomial model has no use for `{idle[0]}`", "leave it out")
-        return fit_polynomial(structure, several, checked)
+        return replace(fit_polynomial(structure, several, checked), gaps=tuple(_gaps(structure, several)))
     check_structure(structure)
     structure = _guessed(structure, several[0], values or {})
     wanted = structure.estimate if estimate is None else _names(estimate)
@@ -441,7 +441,7 @@ def _guessed(structure: Structure, record: Record, values: Mapping[str, float]) 
     return found.with_guess(**{name: value for name, value in values.items() if name in found.unknowns})
 
 
-def _gaps(structure: Structure, records: Sequence[Record]) -> Iterator[str]:
+def _gaps(structure: Structure | PolynomialModel, records: Sequence[Record]) -> Iterator[str]:
     """Where inputs of the structure were held although nobody knows what they did."""
     for record in records:
         for name in structure.inputs:

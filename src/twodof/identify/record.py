@@ -287,12 +287,21 @@ class Record:
         For a longer period all signals pass one anti-alias filter without a phase (`scipy.signal.resample_poly`), which
         leaves the model between them as it is. Inputs then have nothing above half the new rate (hold "band-limited").
         For the present period outputs are interpolated linearly at the steps. Raises IdentificationError for a shorter
-        period, which would add nothing, and for a record that has not two such steps.
+        period, which would add nothing, for under two such steps, and for gaps, which a filter would spread.
         """
         ratio = Fraction(period / self.dt).limit_denominator(_RATIO) if is_number(period, 0.0) else Fraction(0)
         if ratio < 1 or self.steps <= ratio:
             last = self.dt * (self.steps - 1)
             raise self.error(f"a period of {shown(period)} s", f"give {self.dt:.6g} to {last:.6g} s")
+        for name, one in self.outputs.items():
+            lost = np.diff(one.position, prepend=0.0, append=self.steps - 1.0)
+            if lost.max() > GAP + 0.5 or self.gaps:
+                raise self.error(
+                    f"'{name}' or an input has a gap"
+                    if self.gaps
+                    else f"'{name}' lacks {lost.max() - 1.0:.0f} samples",
+                    "take the pieces between the gaps, Record.pieces or part (--window), and merge them",
+                )
         from scipy.signal import resample_poly  # imported late: most commands start without it
 
         def slower(value: Array) -> Array:
