@@ -176,9 +176,8 @@ class Estimate:
         if self.disturbance.kind == "innovation":
             return f"{place}: FIT {one.fit_percent:.2f} % one sample ahead, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
         if one.ahead is not None and self.disturbance.predicts:
-            pushes = "pushes" if self.disturbance.walks else "gusts"
             return (
-                f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the {pushes}, "
+                f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the gusts, "
                 "which says little in closed loop"
             )
         if one.ahead is not None and isinstance(self.model, PolynomialModel):

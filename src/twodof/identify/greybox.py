@@ -118,7 +118,7 @@ def fit(
             raise structure.error(f"a polynomial model has no use for `{idle[0]}`", "leave it out")
         return replace(fit_polynomial(structure, several, checked), gaps=tuple(_gaps(structure, several)))
     check_structure(structure)
-    structure = _guessed(structure, several[0], values or {})
+    structure = _guessed(structure, several[0], values or {}) if several else structure
     wanted = structure.estimate if estimate is None else _names(estimate)
     where = f"structure '{structure.name}'"
     if not wanted or len(set(wanted)) < len(wanted):

@@ -336,7 +336,7 @@ class ColouredProblem:
     def _projected(self, jacobian: Array, raw: Array, models: Sequence[Autoregression]) -> Array:
         white = self._whiten(jacobian, models)
         for model, noise in zip(models, self._noises, strict=True):
-            if not model.order or self._given:
+            if self._given or not model.order:
                 continue
             own = noise.pushes(raw[noise.rows])
             # Prediction errors change with coefficient k as the residual k samples earlier.

@@ -206,12 +206,10 @@ def _pushed_from(problem: Problem, x: Array, answering: tuple[str, ...], walks: 
     # After the last turn the unknowns moved by less than a fifth of a standard deviation or so in all trials.
     ended = replace(minimum, residual=error, converged=minimum.converged and (stands or moved < 0.5))
     noise = {label: model.scaled(s) for (label, s), model in zip(problem.noise().items(), models, strict=True)}
-    found = DisturbanceModel("walk" if walks else "input", {}, answering, dt=problem.records[0].dt)
-    if walks:
-        found, deviation = replace(found, walks=noise), np.array([model.white for model in models])
-    else:
-        pushes = {label: gust.gust for label, gust in zip(noise, gusts, strict=True)}
-        found, deviation = replace(found, noise=noise, gusts=pushes), _deviation(problem, problem.residual(x))
+    pushes = {} if walks else {label: gust.gust for label, gust in zip(noise, gusts, strict=True)}
+    found = DisturbanceModel("walk" if walks else "input", {} if walks else noise, answering, gusts=pushes)
+    found = replace(found, dt=problem.records[0].dt, walks=noise if walks else {})
+    deviation = np.array([model.white for model in models]) if walks else _deviation(problem, problem.residual(x))
     cost = 0.5 * float(error @ error) + filtered.log_deviations(models)
     return Disturbed(ended, jacobian, error, deviation, found, cost)
 

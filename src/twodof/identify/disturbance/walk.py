@@ -36,7 +36,6 @@ class Walk:
     white: float
     pushes: Mapping[str, float]
     factor: Array = field(repr=False)
-    order: int = 0
 
     @property
     def text(self) -> str:
