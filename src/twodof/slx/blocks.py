@@ -763,6 +763,9 @@ RULES: dict[str, Rule] = {
 }
 """Rule of each block type, or of a library block by its name."""
 
+INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum", "Product"), 2)}
+INPUTS |= dict.fromkeys(("Clock", "Constant", "DigitalClock", "Ground", "RandomNumber", "Step"), 0)
+"""Inputs of a block of which the file does not say how many; of any other type one."""
 STATEFUL = ("UnitDelay", "Memory", "Delay", "DiscreteIntegrator", "Integrator", "TransferFcn", "StateSpace",
             "TransportDelay")  # fmt: skip
 """Types whose output may be known before their input: where a loop is broken."""

@@ -17,11 +17,11 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.library import Constant, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, RULES, STATEFUL, TYPES, Asked, Made, Refused, Rule, Signal, expanded
+from twodof.slx.blocks import DROPPED, INPUTS, RULES, STATEFUL, TYPES, Asked, Made, Refused, Rule, Signal, expanded
 from twodof.slx.inspection import OWN_LIBRARIES, SUFFIXES
 from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction, last_index
-from twodof.slx.matlab_values import Value, number
+from twodof.slx.matlab_values import NotComputed, Value, as_array, number
 from twodof.slx.model import Block, Model, Pin, System, collapsed, escaped, read_model
 
 _SINGLE = "single: computed in the precision of the build"
@@ -246,7 +246,7 @@ class _Import:
         path = f"{key[0]}/{escaped(block.name)}".lstrip("/")
         try:
             step()  # type: ignore[operator]
-        except (Refused, DiagramError) as reason:
+        except (Refused, NotComputed, DiagramError) as reason:
             why = reason.what if isinstance(reason, DiagramError) else str(reason)
             self.report.append(Line(path, block.kind, "refused", why))
             self.made[key] = Made(None, [])
@@ -258,7 +258,7 @@ class _Import:
         if not said.startswith("Inherit") and said not in TYPES:
             raise Refused(f"OutDataTypeStr = {said!r} is not translated")
         size = evaluate(block.values.get("PortDimensions", "-1"), self.systems[key[0]][1], "PortDimensions")
-        elements = [int(n) for n in number(size).flatten()]
+        elements = [int(n) for n in as_array(number(size)).flatten()]
         if len([n for n in elements if n > 1]) > 1:
             raise Refused(f"PortDimensions = {block.values['PortDimensions']} is not translated")
         width = max(elements)
@@ -380,7 +380,7 @@ class _Import:
             for p in ln.wire.sinks()
             if p.sid == key[1] and p.kind == "in"
         ]
-        return max(used, default=0)
+        return max(*used, INPUTS.get(block.type, 1)) if used else INPUTS.get(block.type, 1)
 
     def _translate(self, key: tuple[str, str], block: Block, count: int, assume: bool) -> bool:
         """Translate a block whose inputs are known, or assume a scalar; return whether it is done, refused or not."""
