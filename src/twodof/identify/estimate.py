@@ -320,6 +320,8 @@ def _on_unknowns(found: Estimate) -> Iterator[str]:
         sigma = found.sigma(label)
         if label not in {*found.local, *together, *found.prior} and sigma > abs(value):
             yield f"the data hardly tell {label}: {value:.3g} +- {sigma:.2g}"
+    if isinstance(found.model, PolynomialModel):
+        return  # a coefficient is not read by itself, and those of A or F are known together
     correlation = found.correlation
     for i, label in enumerate(found.labels):
         for j, other in enumerate(found.labels[:i]):

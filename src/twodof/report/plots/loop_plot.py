@@ -23,7 +23,6 @@ _POINTS = 1500
 _DPI = 130
 _FEW = 12
 _BLOT = 0.06  # poles this near to 0, in heights of the root locus, have a frame of their own
-_GAINS = np.concatenate([[0.0], np.geomspace(0.02, 20.0, 600)])
 _DAMPING = (0.2, 0.4, 0.6, 0.8)
 _SPEED = 4.0  # range of the root locus, in crossovers
 
@@ -196,7 +195,7 @@ def _sensitivity_contour(ax: Axes, peak: float, below: bool, look: Mapping[str, 
 
 
 def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
-    """Draw the poles for .02 to 20 times the gain, those of the loop itself, and lines of equal damping.
+    """Draw the poles for .02 to 20 times the gain or past the margin, those of the loop, and lines of equal damping.
 
     A sampled loop's poles are drawn as z = e^(sT), so the axes are those of the s plane [rad/s] for both. A continuous
     delay is sampled, finely. Poles that would be a blot at 0 have a frame of their own.
@@ -205,7 +204,8 @@ def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
     if loop.delay:
         loop = held(loop, max(0.01 / speed_of(found), loop.delay / DELAY_STEPS))
     # Few states cost little: more gains draw a branch sharply where it leaves the real axis.
-    gains = _GAINS if len(loop.a) > _FEW else np.append(0.0, np.geomspace(0.02, 20.0, 4000))
+    most = max(20.0, 1.5 * found.increase.factor if found.increase is not None else 0.0)
+    gains = np.append(0.0, np.geomspace(0.02, most, 600 if len(loop.a) > _FEW else 4000))
     z, dt = root_locus(loop, gains), loop.dt
     # A pole at z = 0, of a delay, has no place in the s plane.
     branches = z if dt is None else np.log(np.where(z == 0.0, np.nan, z)) / dt
