@@ -100,11 +100,13 @@ def test_a_value_out_of_bounds_is_refused(lab: ServedLab, open_page: OpenPage) -
 
 
 def test_the_parameters_come_after_a_failed_request(lab: ServedLab, open_page: OpenPage) -> None:
-    """A drone that is reset just then refuses; the list asks again by itself."""
+    """A drone that is reset just then refuses; the page asks again by itself, for the models too."""
     page = open_page(link(lab).replace("tune", "logs"), expects=("503",))
     page.route("**/drones/1/parameters", lambda route: route.fulfill(status=503, json={"what": "reset"}), times=1)
+    page.route("**/api/models", lambda route: route.fulfill(status=503, json={"what": "reset"}), times=1)
     page.get_by_role("link", name="Tune", exact=True).click()
     expect(field(page, "RATE_KP")).to_have_value("0.0854")
+    expect(page.get_by_label("Model", exact=True).get_by_role("option", name="careful")).to_be_attached()
 
 
 def test_a_search_is_kept_in_the_link(lab: ServedLab, open_page: OpenPage) -> None:

@@ -74,7 +74,7 @@ export class Tuning {
   /** Start; returns a function that stops it. */
   start(): () => void {
     void this.load();
-    const timer = setInterval(() => this.loaded && this.rows.length === 0 && void this.refresh(), AGAIN_MS);
+    const timer = setInterval(() => this.loaded && this.rows.length === 0 && void this.load(), AGAIN_MS);
     const stop = telemetry.onEvent((event) => {
       // Somebody else tunes it too, a script perhaps.
       if (event.event === "parameters" && event.drone === this.drone) void this.refresh();
