@@ -98,7 +98,7 @@ class Coverage:
 
     `p_value` is that of the exact binomial test against `LEVEL`. `bias` and `spread` are in units of `claim`, the
     median standard deviation that a flight claims. `silent` flights claim none, as the unknown lies at its bound.
-    With `repeats_prior` the data do not tell the unknown, and it does not count.
+    `prior_left` is the claim over the prior's standard deviation, 0 without a prior.
     """
 
     experiment: str
@@ -111,13 +111,20 @@ class Coverage:
     p_value: float
     bias: float
     spread: float
-    repeats_prior: bool
+    prior_left: float
+
+    @property
+    def repeats_prior(self) -> bool:
+        """Return True if the data do not tell the unknown; it does not count then."""
+        return self.prior_left > _TOLD
 
     @property
     def text(self) -> tuple[str, ...]:
         """Return the cells of a table: experiment, unknown, truth, claim, covered, p-value, bias, spread, remark."""
         told = self.flights - self.silent
-        remark = "repeats its prior" if self.repeats_prior else f"{self.silent} at its bound" if self.silent else ""
+        left = f"{100.0 * self.prior_left:.0f} % of its prior left" if self.prior_left else ""
+        bound = f"{self.silent} at its bound" if self.silent else ""
+        remark = ", ".join(filter(None, ["repeats its prior" if self.repeats_prior else left, bound]))
         share = f"{self.covered} of {told}" + (f" ({100.0 * self.covered / told:.0f} %)" if told else "")
         figures = (f"{self.p_value:.2g}", f"{self.bias:+.2f}", f"{self.spread:.2f}")
         return (self.experiment, self.unknown, f"{self.truth:.4g}", f"{self.claim:.2g}", share, *figures, remark)
@@ -139,13 +146,13 @@ def coverage(rows: Sequence[Row]) -> Iterator[Coverage]:
         told = [one for one in found if one["sigma"] is not None]
         truth = float(np.mean([one["true"] for one in found]))
         if not told:
-            yield Coverage(experiment, name, len(found), len(found), truth, math.nan, 0, 1.0, math.nan, math.nan, False)
+            yield Coverage(experiment, name, len(found), len(found), truth, math.nan, 0, 1.0, math.nan, math.nan, 0.0)
             continue
         error = np.array([one["value"] - one["true"] for one in told])
         sigma = np.array([one["sigma"] for one in told])
         claim = float(np.median(sigma))
         covered = int(np.count_nonzero(np.abs(error) <= deviations(LEVEL) * sigma))
-        untold = median(one["sigma"] / one["prior"] if one["prior"] else 0.0 for one in told) > _TOLD
+        left = median(one["sigma"] / one["prior"] if one["prior"] else 0.0 for one in told)
         yield Coverage(
             experiment,
             name,
@@ -157,7 +164,7 @@ def coverage(rows: Sequence[Row]) -> Iterator[Coverage]:
             float(binomtest(covered, len(told), LEVEL).pvalue),
             float(error.mean()) / claim,
             float(error.std(ddof=1)) / claim if len(told) > 1 else math.nan,
-            untold,
+            left,
         )
 
 
