@@ -61,7 +61,6 @@ describe.skipIf(cases.length === 0)("the figures of steps as they happen", () =>
           [step.figures.settling, found.settling_time],
           [step.figures.overshoot, found.overshoot],
           [step.figures.peak, found.peak],
-          [step.figures.peakTime, found.peak_time],
           [step.peakMoment, found.peak_moment],
           [step.averaged, found.averaged],
         ];

@@ -46,7 +46,6 @@ export interface KeptDiagram {
 
 export interface Code {
   lines: [text: string, block: string, part: string][];
-  kinds: Record<string, string>;
   left_out: string[];
 }
 

@@ -1,4 +1,5 @@
 import { Pyramid } from "./draw/pyramid";
+import { firstRow } from "./numbers";
 
 /** Rows that came together: times [s], one array per column, and when the server sent them, Unix time [s]. */
 export interface Rows {
@@ -99,14 +100,7 @@ export class History {
 
   /** Return the first row at or after `time` [s]. */
   rowAt(time: number): number {
-    let low = this.first;
-    let high = this.next;
-    while (low < high) {
-      const middle = (low + high) >>> 1;
-      if (this.time(middle) < time) low = middle + 1;
-      else high = middle;
-    }
-    return low;
+    return firstRow(this.first, this.next, (row) => !(this.time(row) < time));
   }
 
   nearest(time: number): number {

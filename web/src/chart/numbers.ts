@@ -23,3 +23,13 @@ export function tick(value: number | null): string {
 export function quantity(value: number, unit: string): string {
   return unit ? `${figure(value)} ${unit}` : figure(value);
 }
+
+/** Return the first row from `low` on that is `at` or behind a place; `high` if none is. Rows are in order. */
+export function firstRow(low: number, high: number, at: (row: number) => boolean): number {
+  while (low < high) {
+    const middle = (low + high) >>> 1;
+    if (at(middle)) high = middle;
+    else low = middle + 1;
+  }
+  return low;
+}

@@ -24,7 +24,6 @@ export interface StepFigures {
   settling: number;
   overshoot: number;
   peak: number;
-  peakTime: number;
 }
 
 /** A step of a set-point at `time` [s], from `before` to `after`; over at `end` [s]. */
@@ -71,7 +70,6 @@ export function stepFigures(
     settling,
     overshoot: Math.max(0, (z[top] ?? NaN) - 1),
     peak: y[top] ?? NaN,
-    peakTime: t[top] ?? NaN,
   };
 }
 

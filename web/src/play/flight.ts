@@ -30,23 +30,16 @@ export interface Safety {
 }
 
 /** Outputs of the closed loop by column of telemetry. */
-const OUTPUTS = {
-  "estimate.theta": "theta",
-  "estimate.q": "q",
-  "estimate.x": "x",
-  "estimate.v": "v",
-  "setpoint.theta": "theta0",
-  "setpoint.q": "q0",
-  "setpoint.x": "x0",
-  "setpoint.v": "v0",
-  "command.M": "M",
-  "command.T": "T",
-  "truth.theta": "true_theta",
-  "truth.q": "true_q",
-  "truth.x": "true_x",
-  "truth.v": "true_v",
-  "battery.voltage": "voltage",
-} as const;
+const OUTPUTS: Readonly<Record<string, string>> = {
+  ...Object.fromEntries(
+    ["theta", "q", "x", "v"].flatMap((name) => [
+      [`estimate.${name}`, name],
+      [`setpoint.${name}`, `${name}0`],
+      [`truth.${name}`, `true_${name}`],
+    ]),
+  ),
+  ...{ "command.M": "M", "command.T": "T", "battery.voltage": "voltage" },
+};
 
 /** Most control steps per call, so that a page that slept does not catch up. */
 const MOST_STEPS = 500;

@@ -35,7 +35,8 @@ export class Pilot {
   }
 
   /** Restart in hover. The same seed gives the same bits. */
-  again(): void {
+  again(change: Partial<Start> = {}): void {
+    Object.assign(this.start, change);
     const troubles = { ...this.values };
     this.owed = 0; // what the flight before has left of a control step
     this.flight.start(this.start);
@@ -67,10 +68,7 @@ export class Pilot {
   choose(mode: FlyMode): void {
     this.mode = mode;
     this.wanted = 0;
-    if (this.start.rings && mode.movesCart) {
-      this.start.rings = false; // the rings lock the cart
-      this.again();
-    }
+    if (this.start.rings && mode.movesCart) this.again({ rings: false }); // they lock the cart
     this.show();
   }
 

@@ -3,28 +3,21 @@ export type Theme = "light" | "dark" | "system";
 const KEPT = "twodof-theme";
 
 class CurrentTheme {
-  now = $state<Theme>(read());
+  now = $state<Theme>("system");
 
   constructor() {
-    show(this.now);
+    const kept = localStorage.getItem(KEPT);
+    this.choose(kept === "light" || kept === "dark" ? kept : "system");
   }
 
   choose(theme: Theme): void {
     this.now = theme;
-    if (theme === "system") localStorage.removeItem(KEPT);
-    else localStorage.setItem(KEPT, theme);
-    show(theme);
+    const { dataset } = document.documentElement;
+    if (theme === "system") {
+      localStorage.removeItem(KEPT);
+      delete dataset["theme"];
+    } else localStorage.setItem(KEPT, (dataset["theme"] = theme));
   }
-}
-
-function read(): Theme {
-  const kept = localStorage.getItem(KEPT);
-  return kept === "light" || kept === "dark" ? kept : "system";
-}
-
-function show(theme: Theme): void {
-  if (theme === "system") delete document.documentElement.dataset["theme"];
-  else document.documentElement.dataset["theme"] = theme;
 }
 
 export const theme = new CurrentTheme();

@@ -62,3 +62,7 @@ export function stateWords(state: DroneState, watches = false): Word[] {
 export function modeWord(state: DroneState): string {
   return state.mode.charAt(0).toUpperCase() + state.mode.slice(1);
 }
+
+export function controllerWords({ controller, changed_parameters: changed }: DroneState): string {
+  return `${controller || "unknown"}${changed ? `, ${changed} ${changed === 1 ? "parameter" : "parameters"} changed` : ""}`;
+}

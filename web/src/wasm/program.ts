@@ -60,10 +60,6 @@ export class Program {
     return this.table.dt;
   }
 
-  get tick(): number {
-    return this.ticked;
-  }
-
   /** Set the initial states of the present parameters. */
   reset(): void {
     this.call("init", this.at("P"), this.at("S"));

@@ -1,12 +1,10 @@
 // What a host must know of a compiled module: `WasmModule.interface` of the library, docs/reference/compilation.md.
 
-export type NumberType = "float64" | "float32" | "int32" | "uint32" | "bool" | "int8" | "uint8" | "int16" | "uint16";
-
 /** Signal, state or parameter: `count` numbers of `type` at `address`. */
 export interface Entry {
   path: string;
   unit: string;
-  type: NumberType;
+  type: keyof typeof ARRAYS;
   count: number;
   array: boolean;
   address: number;
@@ -42,8 +40,7 @@ export interface ProgramTable {
   states: Entry[];
 }
 
-export type Numbers =
-  Float64Array | Float32Array | Int32Array | Uint32Array | Int8Array | Uint8Array | Int16Array | Uint16Array;
+export type Numbers = InstanceType<(typeof ARRAYS)[keyof typeof ARRAYS]>;
 
 const ARRAYS = {
   float64: Float64Array,

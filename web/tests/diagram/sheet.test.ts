@@ -197,7 +197,7 @@ describe("the palette", () => {
 
   it("says what to do for a block of Simulink that there is not here", () => {
     expect(instead("Scope")).toContain("press S");
-    expect(instead("statefl")).toContain("state machine");
+    expect(instead("Goto tag")).toContain("Goto");
     expect(instead("MATLAB Function")).toContain("Python");
     for (const word of ["", "s", "gain", "step"]) expect(instead(word)).toBe("");
   });

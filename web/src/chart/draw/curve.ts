@@ -1,5 +1,6 @@
 import type uPlot from "uplot";
 import { DASHES, type Series } from "../kinds";
+import { firstRow } from "../numbers";
 import { samplePath } from "./painter";
 import { colour } from "./canvas";
 
@@ -12,14 +13,7 @@ export class Curve {
 
   /** Return the first sample at or after `x`. */
   rowAt(x: number): number {
-    let low = 0;
-    let high = this.last;
-    while (low < high) {
-      const middle = (low + high) >>> 1;
-      if (this.series.x[middle]! < x) low = middle + 1;
-      else high = middle;
-    }
-    return low;
+    return firstRow(0, this.last, (row) => !(this.series.x[row]! < x));
   }
 
   /** Interpolate y at `x`; NaN outside. */

@@ -82,41 +82,25 @@ export function key(view: View, event: KeyboardEvent): boolean {
   const middle = view.log ? Math.sqrt(low * high) : (low + high) / 2;
   const at = view.pointer ?? middle;
   const step = event.repeat ? 0.02 : 0.01;
-  switch (event.key) {
-    case "ArrowLeft":
-    case "ArrowRight": {
-      const way = event.key === "ArrowLeft" ? -1 : 1;
-      if (event.shiftKey) view.pan(0.1 * way);
-      else view.pointer = Math.min(high, Math.max(low, view.moved(at, way * step)));
-      break;
-    }
-    case "+":
-    case "=":
-      view.zoom(STEP, at);
-      break;
-    case "-":
-      view.zoom(1 / STEP, at);
-      break;
-    case "Home":
-      view.whole();
-      break;
-    case "End":
-      view.reset();
-      break;
-    case "Enter":
-      view.pin(at);
-      break;
-    case "Escape":
-      view.pins = [];
-      view.pointer = null;
-      break;
-    case " ":
-      if (!(view instanceof TimeView)) return false;
-      view.togglePause();
-      break;
-    default:
-      return false;
-  }
+  const move = (way: number): void => {
+    if (event.shiftKey) view.pan(0.1 * way);
+    else view.pointer = Math.min(high, Math.max(low, view.moved(at, way * step)));
+  };
+  const acts: Readonly<Record<string, () => unknown>> = {
+    ArrowLeft: () => move(-1),
+    ArrowRight: () => move(1),
+    "+": () => view.zoom(STEP, at),
+    "=": () => view.zoom(STEP, at),
+    "-": () => view.zoom(1 / STEP, at),
+    Home: () => view.whole(),
+    End: () => view.reset(),
+    Enter: () => view.pin(at),
+    Escape: () => Object.assign(view, { pins: [], pointer: null }),
+    ...(view instanceof TimeView && { " ": () => view.togglePause() }),
+  };
+  const act = acts[event.key];
+  if (act === undefined) return false;
+  act();
   event.preventDefault();
   return true;
 }

@@ -13,6 +13,7 @@ import {
   addOutput,
   addParam,
   addPart,
+  addVariable,
   connect,
   disconnect,
   flipParts,
@@ -25,6 +26,7 @@ import {
   removeOutput,
   removeParts,
 } from "./model/edits";
+import { MACHINE, NEW_MACHINE, NEW_STATE, opens, STATE } from "./model/chart";
 import { commented, commentToggled, type Comment } from "./model/comment";
 import { grouped, ungrouped } from "./model/grouping";
 import { real } from "./model/json_text";
@@ -60,7 +62,8 @@ class Acts {
   private copied = "";
 
   openPart(name: string): void {
-    if (findPart(editor.here, name)?.item.is === "diagram") editor.enter([...editor.path, name]);
+    const part = findPart(editor.here, name);
+    if (part && opens(part)) editor.enter([...editor.path, name]);
     else void this.toPanel("focusPanel");
   }
 
@@ -176,7 +179,7 @@ class Acts {
   scope(): void {
     const [id = ""] = editor.selected;
     const name = id.slice(2);
-    if (id === "") return editor.say("select a block or a wire to show");
+    if (id === "" || editor.here.chart) return editor.say("select a block or a wire of a diagram to show");
     const source = /^[wo]:/.test(id) ? sourceOf(editor.here, name) : name;
     const part = findPart(editor.here, name);
     const port = id.startsWith("p:") && part !== undefined ? tops(editor.shapes.of(part.item).outputs)[0] : undefined;
@@ -243,7 +246,7 @@ export const act = new Acts();
 
 /** Add a block, "diagram", "input", "output" or "parameter", and select it. */
 export function add(type: string, at?: Point): void {
-  if (type === "input" || type === "output" || type === "parameter") return addBorder(type);
+  if (type === "input" || type === "output" || type === "parameter" || type === "variable") return addBorder(type);
   const part = made(type, at ?? act.middle());
   if (part === undefined) return;
   editor.apply(`add ${part.name}`, (d) => addPart(d, part));
@@ -254,32 +257,38 @@ export function add(type: string, at?: Point): void {
 /** Make a part with a free place near `at`; undefined for an unknown type. */
 export function made(type: string, at: Point): Part | undefined {
   const entry = editor.catalogue?.blocks.find((one) => one.type === type);
-  if (type !== "diagram" && entry === undefined) return undefined;
-  const name = freeName(editor.here, type === "diagram" ? "sub" : type.replace(/^models\./, "").toLowerCase());
+  const own = { [MACHINE]: NEW_MACHINE, [STATE]: NEW_STATE }[type];
+  if (type !== "diagram" && own === undefined && entry === undefined) return undefined;
+  const name = freeName(
+    editor.here,
+    { diagram: "sub", [MACHINE]: "chart" }[type] ?? type.replace(/^models\./, "").toLowerCase(),
+  );
   const item =
-    entry === undefined
+    own ??
+    (entry === undefined
       ? { ...EMPTY, name, inputs: [{ name: "u" }], outputs: [["y", "u"] as const] }
-      : ({ is: "block", type, json: { type, config: entry.config } } as const);
+      : ({ is: "block", type, json: { type, config: entry.config } } as const));
   return newPart(editor.here, name, item, free(at));
 }
 
 /** Add an input, output or parameter; an input is wired to the destination `to`, an output to the source `from`. */
 export function addBorder(
-  what: "input" | "output" | "parameter",
+  what: "input" | "output" | "parameter" | "variable",
   verb = "add",
   from: string | null = null,
   to: string | null = null,
 ): void {
-  const stem = { input: "u", output: "y", parameter: "k" }[what];
+  const stem = { input: "u", output: "y", parameter: "k", variable: "n" }[what];
   const outputs = new Set(editor.here.outputs.map(([name]) => name));
   const name = freeName(editor.here, stem, what === "output" ? outputs : []);
   editor.apply(`${verb} ${what} ${name}`, (d) => {
     if (what === "output") return addOutput(d, name, from);
+    if (what === "variable") return addVariable(d, name);
     if (what === "parameter") return addParam(d, { name, value: real(1) });
     const after = addInput(d, { name });
     return to === null ? after : connect(after, name, to);
   });
-  editor.select(what === "parameter" ? [] : [what === "input" ? inputId(name) : outputId(name)]);
+  editor.select(editor.here.chart || what === "parameter" ? [] : [what === "input" ? inputId(name) : outputId(name)]);
 }
 
 /** Return the nearest free place right of and below `at`. */

@@ -2,6 +2,7 @@
 import { addBorder, made } from "./actions.svelte";
 import { placesOn } from "./canvas/places";
 import { editor } from "./editor.svelte";
+import { MACHINE, STATE } from "./model/chart";
 import { findPart, outputId, partId, sourceOf, type Point } from "./model/diagram";
 import { addPart, connect } from "./model/edits";
 import type { Choice } from "./model/search";
@@ -19,11 +20,15 @@ const OWN: readonly Choice[] = [
   { type: "output", name: "Output", group: "sheet", text: "An output of this diagram." },
   { type: "parameter", name: "Parameter", group: "sheet", text: "A parameter of this diagram, to tune blocks by." },
   { type: "diagram", name: "Sub-diagram", group: "sheet", text: "A diagram within this one, empty." },
+  { type: MACHINE, name: "State machine", group: "sheet", text: "A chart of states and transitions: mode logic." },
 ];
+const STATES: readonly Choice[] = [{ type: STATE, name: "State", group: "chart", text: "A state of this chart." }];
 const GAP = 60;
 
 class Choices {
-  readonly all: readonly Choice[] = $derived([...OWN, ...(editor.catalogue?.blocks ?? [])]);
+  readonly all: readonly Choice[] = $derived(
+    editor.here.chart ? STATES : [...OWN, ...(editor.catalogue?.blocks ?? [])],
+  );
 
   /** Return the blocks with ports for the wire. */
   fitting({ from, to }: Loose): Choice[] {

@@ -58,17 +58,12 @@ export function sparkPath(
   const [least, greatest] = [Math.min(...known), Math.max(...known)];
   const y = (value: number): string =>
     (greatest > least ? height * (1 - (value - least) / (greatest - least)) : height / 2).toFixed(1);
-  let pen = "M";
+  let pen = "";
   const parts = low.map((value, k) => {
     const top = high[k] ?? null;
-    if (value === null || top === null) {
-      pen = "M";
-      return "";
-    }
+    pen = value === null || top === null ? "" : pen === "" ? "M" : "L";
     const x = (((k + 0.5) / low.length) * width).toFixed(1);
-    const part = `${pen}${x} ${y(top)}L${x} ${y(value)}`;
-    pen = "L";
-    return part;
+    return pen && `${pen}${x} ${y(top!)}L${x} ${y(value!)}`;
   });
   return parts.join("");
 }

@@ -13,6 +13,7 @@ import {
   type Part,
   type Point,
 } from "../model/diagram";
+import { textOf, turnsOf } from "../model/chart";
 import { portOf, sourceEnd, tops, type Port, type Shape, type Shapes } from "../model/shapes";
 import { partPlaces, TERMINAL_HEIGHT, terminalPlaces, terminalWidth } from "./places";
 import type { Box, Ends, Route, Router } from "./route";
@@ -36,7 +37,7 @@ export interface TerminalData extends Record<string, unknown> {
 export type PartNode = Node<PartData, "part">;
 export type TerminalNode = Node<TerminalData, "inlet" | "outlet">;
 export type SheetNode = PartNode | TerminalNode;
-export type SheetEdge = Edge<{ color: string; fault: boolean; route: Route }>;
+export type SheetEdge = Edge<{ color: string; fault: boolean; label: string; route: Route }>;
 
 /** Marks on the sheet, by id. */
 export interface Marks {
@@ -67,8 +68,8 @@ export function sheet(d: Diagram, shapes: Shapes, marks: Marks, before: Omit<Dra
   );
   const terminals = terminalPlaces(d, shapes, places);
   for (const [kind, names] of [
-    ["input", inputNames(d)],
-    ["output", d.outputs.map(([name]) => name)],
+    ["input", d.chart ? [] : inputNames(d)],
+    ["output", d.chart ? [] : d.outputs.map(([name]) => name)],
   ] as const) {
     names.forEach((name) => {
       const declared = d.inputs.find((one) => declaredName(one) === name);
@@ -236,7 +237,10 @@ function edges(
   });
   const left = router.update(new Map(nodes.map((node) => [node.id, boxOf(node)])), ends, SLICE_MS);
   const old = new Map(before.map((edge) => [edge.id, edge]));
-  return { edges: wires.map((wire) => edge(wire, router.route(wire.id), marks, old.get(wire.id))), left };
+  return {
+    edges: wires.map((wire) => edge(wire, wayText(d, wire.to), router.route(wire.id), marks, old.get(wire.id))),
+    left,
+  };
 }
 
 interface WireEnds {
@@ -276,13 +280,20 @@ function hasPort(at: ReadonlyMap<string, SheetNode>, wire: WireEnds): boolean {
   return has(from, wire.sourceHandle) && has(to, wire.targetHandle);
 }
 
-function edge(wire: WireEnds, route: Route, marks: Marks, was: SheetEdge | undefined): SheetEdge {
+/** Return the label of a transition: its turn, guard and action. */
+function wayText(d: Diagram, to: string): string {
+  const way = d.chart?.ways[to.split(".")[1] ?? ""];
+  if (way === undefined) return "";
+  return `${turnsOf(d, to).turn + 1}: ${textOf(way["when"]) || "always"}${textOf(way["do"]) && ` / ${textOf(way["do"])}`}`;
+}
+
+function edge(wire: WireEnds, label: string, route: Route, marks: Marks, was: SheetEdge | undefined): SheetEdge {
   const { id, from, to, source, sourceHandle, target, targetHandle } = wire;
   const fault = marks.loop.has(id);
   const color = marks.scoped.get(to) ?? "";
   const ends = { source, sourceHandle, target, targetHandle, selected: marks.selected.has(id) };
   const { x, y } = route;
-  const [old, next] = [was?.data, { color, fault, x, y }];
+  const [old, next] = [was?.data, { color, fault, label, x, y }];
   const same = was !== undefined && old !== undefined && alike<object>({ ...old, ...old.route }, next);
   if (same && alike<object>(was, ends)) return was;
   return {
@@ -291,7 +302,7 @@ function edge(wire: WireEnds, route: Route, marks: Marks, was: SheetEdge | undef
     id,
     type: "wire",
     markerEnd: ARROW,
-    data: { color, fault, route },
+    data: { color, fault, label, route },
     class: fault ? "loop" : color === "" ? "" : "scoped",
     style: color === "" ? "" : `--wire: var(--${color})`,
     focusable: false,

@@ -17,7 +17,7 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["Ctrl + click", "connect what is selected to the block that is clicked"],
   ["Enter", "set the arguments of the selected block"],
   ["F2", "rename it"],
-  ["O", "open the selected sub-diagram"],
+  ["O", "open the selected sub-diagram, or a state machine as a chart"],
   ["U", "go up to the diagram around it"],
   ["S", "show the selected block's outputs on the scope, or hide them"],
   ["Del", "delete what is selected"],

@@ -65,23 +65,13 @@ function touch(a: Box, b: Box): boolean {
 }
 
 function best(legs: readonly number[], boxes: readonly Box[], way: (leg: number) => readonly Point[]): number {
-  let [found, fewest] = [legs[0]!, Infinity];
-  for (const leg of legs) {
-    const met = meets(way(leg), boxes, fewest);
-    if (met < fewest) [found, fewest] = [leg, met];
-    if (fewest === 0) break;
-  }
-  return found;
+  const met = legs.map((leg) => [leg, meets(way(leg), boxes)] as const);
+  return met.reduce((found, one) => (one[1] < found[1] ? one : found))[0];
 }
 
-/** Count the boxes on a path of horizontal and vertical legs, up to `enough`. */
-export function meets(way: readonly Point[], boxes: readonly Box[], enough = Infinity): number {
-  let met = 0;
-  for (const box of boxes) {
-    if (on(way, box)) met++;
-    if (met >= enough) break;
-  }
-  return met;
+/** Count the boxes on a path of horizontal and vertical legs. */
+export function meets(way: readonly Point[], boxes: readonly Box[]): number {
+  return boxes.filter((box) => on(way, box)).length;
 }
 
 function on(way: readonly Point[], box: Box): boolean {

@@ -1,4 +1,5 @@
 // What stands on a block, and how large it is.
+import { STATE } from "../model/chart";
 import { commented } from "../model/comment";
 import type { Block, Diagram, Part } from "../model/diagram";
 import { isObject, Num, type Json, type JsonObject } from "../model/json_text";
@@ -39,6 +40,12 @@ const FIXED: Readonly<Record<string, string>> = {
   bias: "u + b",
 };
 
+/** Blocks that show one of their arguments. */
+const SHOWN: Readonly<Record<string, string>> = {
+  ...{ gain: "k", constant: "value", trigonometry: "function", elementary: "function", rounding: "function" },
+  ...{ logic: "operation", bitwise: "operation", compare: "operation" },
+};
+
 /** Return the text within a block. */
 export function symbol(part: Part): string {
   const { item } = part;
@@ -50,26 +57,11 @@ export function symbol(part: Part): string {
   }
   const config = configOf(item);
   const of = (key: string): string => part.params[key] ?? shown(config[key]);
-  switch (item.type) {
-    case "gain":
-      return of("k");
-    case "constant":
-      return of("value");
-    case "product":
-      return of("operations") === "*/" ? "×÷" : "×";
-    case "trigonometry":
-    case "elementary":
-    case "rounding":
-      return of("function");
-    case "logic":
-    case "bitwise":
-    case "compare":
-      return of("operation");
-    case "compare_to_constant":
-      return `${of("operation")} ${of("constant")}`;
-    case "delay":
-      return `z⁻${superscript(of("samples"))}`;
-  }
+  const argument = SHOWN[item.type];
+  if (argument !== undefined) return of(argument);
+  if (item.type === "product") return of("operations") === "*/" ? "×÷" : "×";
+  if (item.type === "compare_to_constant") return `${of("operation")} ${of("constant")}`;
+  if (item.type === "delay") return `z⁻${superscript(of("samples"))}`;
   return FIXED[item.type] ?? item.type.replace(/^models\./, "").replace(/_/g, " ");
 }
 
@@ -86,6 +78,7 @@ function superscript(text: string): string {
 
 /** Return the sign of an input of a sum or product, or "". */
 export function portSign({ item }: Part, index: number): string {
+  if (item.is === "block" && item.type === STATE) return "›";
   if (item.is === "diagram" || (item.type !== "sum" && item.type !== "product")) return "";
   const signs = configOf(item)[item.type === "sum" ? "signs" : "operations"];
   if (typeof signs !== "string") return "";

@@ -1,5 +1,6 @@
 // Where a finding belongs: the path that Python names, as what is on a sheet.
-import { declaredName, findPart, type Diagram } from "./diagram";
+import { opens } from "./chart";
+import { declaredName, diagramAt, EMPTY, findPart, type Diagram, type Part } from "./diagram";
 
 /** Place of a finding: path of the sheet, and id of a part (p:), input (i:) or output (o:), "" for the sheet. */
 export interface Place {
@@ -29,6 +30,7 @@ function walk(root: Diagram, segments: readonly string[]): Place {
       break;
     }
     const last = segments[i + 1];
+    if (part.item.is === "block" && opens(part)) return { path, id: `p:${name}`, ...onChart(path, part, rest), rest };
     if (part.item.is === "block" || last === undefined) return { path, id: `p:${name}`, rest };
     const inner = findPart(part.item, last);
     // A port of a sub-diagram is its block's fault as seen from outside.
@@ -37,6 +39,15 @@ function walk(root: Diagram, segments: readonly string[]): Place {
     here = part.item;
   }
   return { path, id: "", rest: segments.join(".") };
+}
+
+/** Find the state or the transition of a chart that Python names. */
+function onChart(path: readonly string[], part: Part, rest: string): Partial<Place> {
+  const [, from, to, state] = /(?:when|do) of (\w+) -> (\w+)|(?:entry|during|exit) of (\w+)/.exec(rest) ?? [];
+  const wires = diagramAt({ ...EMPTY, parts: [part] }, [part.name])!.connections;
+  const end = wires.find(([source, end]) => source === from && end.split(".")[0] === to)?.[1];
+  const id = state ? `p:${state}` : end ? `w:${end}` : "";
+  return id === "" ? {} : { path: [...path, part.name], id };
 }
 
 /** Return the id that shows a place on the sheet at `at`, or "". */

@@ -16,11 +16,6 @@ const SCHEMA = "twodof/parts";
 const STEP = 30;
 const MOST = 10_000;
 
-interface Copied {
-  readonly parts: readonly Part[];
-  readonly connections: readonly Connection[];
-}
-
 /** Return parts and the wires among them as text. */
 export function copyText(d: Diagram, names: ReadonlySet<string>): string {
   const inside = (end: string): boolean => names.has(end.split(".")[0] ?? "");
@@ -35,7 +30,7 @@ export function copyText(d: Diagram, names: ReadonlySet<string>): string {
 }
 
 /** Read a text of `copyText`. Raises JsonFault or DiagramFault. */
-function copied(text: string): Copied {
+function copied(text: string): { parts: Part[]; connections: Connection[] } {
   const json = readJson(text);
   if (!isObject(json) || json["schema"] !== SCHEMA || !isList(json["parts"]) || !isList(json["connections"])) {
     throw new DiagramFault("the clipboard does not hold blocks");

@@ -19,16 +19,12 @@ export const COMMENTS = {
   through: "Commented through: the outputs are the inputs.",
 } as const;
 export type Comment = keyof typeof COMMENTS;
-/** Texts of such sub-diagrams in files without `commented`. */
-const OLD_TEXTS = new Map<string, Comment>([
-  ["Commented out: the outputs are 0.", "out"],
-  ["Commented through: the outputs are the inputs.", "through"],
-]);
 
 /** Return how a part is commented and the block that it holds; undefined for a part in use. */
 export function commented({ item, rest }: Part): { how: Comment; held: Part } | undefined {
   if (item.is !== "diagram") return undefined;
-  const how = (rest["commented"] as Comment | undefined) || OLD_TEXTS.get(item.text);
+  const by = (["out", "through"] as const).find((how) => item.text === COMMENTS[how]); // in files without `commented`
+  const how = (rest["commented"] as Comment | undefined) || by;
   const held = item.parts[0];
   return how === undefined || held === undefined ? undefined : { how, held };
 }

@@ -1,5 +1,6 @@
 // A diagram as the page edits it. Nothing here is ever changed in place: an edit makes a new diagram that shares what
 // stayed, so that undo is keeping the old one, and what is drawn is compared by identity.
+import { chartOf, opens } from "./chart";
 import { isList, isObject, Num, readJson, writeJson, type Json, type JsonObject } from "./json_text";
 
 /** "part.port" or "part", or an input's name; [source, "part.port"]. */
@@ -28,6 +29,12 @@ export interface Diagram {
   /** Positions of moved inputs and outputs by name. */
   readonly inputPositions: Positions;
   readonly outputPositions: Positions;
+  /** Of the chart of a state machine: its outputs and variables, and guard and action of each transition by port. */
+  readonly chart?: {
+    readonly ports: readonly JsonObject[];
+    readonly variables: readonly JsonObject[];
+    readonly ways: Readonly<Record<string, JsonObject>>;
+  };
   /** Places by id of what has none in the file, as they were drawn before the last edit; not written. */
   readonly drawn?: ReadonlyMap<string, Point> | undefined;
 }
@@ -129,9 +136,9 @@ export function findPart(diagram: Diagram, name: string): Part | undefined {
 export function diagramAt(root: Diagram, path: readonly string[]): Diagram | undefined {
   let here: Diagram = root;
   for (const name of path) {
-    const item = findPart(here, name)?.item;
-    if (item?.is !== "diagram") return undefined;
-    here = item;
+    const part = findPart(here, name);
+    if (part === undefined || !opens(part)) return undefined;
+    here = part.item.is === "diagram" ? part.item : chartOf(part.item);
   }
   return here;
 }

@@ -9,6 +9,7 @@ import {
   type Positions,
 } from "./diagram";
 import { Num, real, type Json, type JsonObject } from "./json_text";
+import { blockOf, chartOf, opens } from "./chart";
 import type { Parameter, Port } from "./shapes";
 
 export class EditFault extends Error {}
@@ -29,17 +30,20 @@ export function edited(root: Diagram, path: readonly string[], edit: (d: Diagram
   if (name === undefined) return edit(root);
   let found = false;
   const parts = root.parts.map((part) => {
-    if (part.name !== name || part.item.is !== "diagram") return part;
+    if (part.name !== name || !opens(part)) return part;
     found = true;
-    const item = edited(part.item, rest, edit);
-    return item === part.item ? part : { ...part, item };
+    const before = part.item.is === "diagram" ? part.item : chartOf(part.item);
+    const after = edited(before, rest, edit);
+    return after === before ? part : { ...part, item: part.item.is === "diagram" ? after : blockOf(part.item, after) };
   });
   if (!found) throw new EditFault(`there is no sub-diagram ${name}`);
   return parts.every((part, i) => part === root.parts[i]) ? root : { ...root, parts };
 }
 
 export function taken(d: Diagram): Set<string> {
-  const tops = [...d.inputs, ...d.params].map((one) => declaredName(one).split(".")[0] ?? "");
+  const tops = [...d.inputs, ...d.params, ...(d.chart?.variables ?? [])].map(
+    (one) => declaredName(one).split(".")[0] ?? "",
+  );
   return new Set([...d.parts.map((part) => part.name), ...tops]);
 }
 
@@ -85,7 +89,7 @@ export function flipParts(d: Diagram, names: ReadonlySet<string>): Diagram {
   return { ...d, parts: d.parts.map((one) => (names.has(one.name) ? { ...one, flipped: !one.flipped } : one)) };
 }
 
-function written(to: Point): Num[] {
+export function written(to: Point): Num[] {
   return to.map((v) => real(Math.min(1e6, Math.max(-1e6, Math.round(v * 100) / 100))));
 }
 
@@ -256,20 +260,38 @@ export function renameOutput(d: Diagram, from: string, to: string): Diagram {
   return { ...d, outputs, outputPositions: rekeyed(d.outputPositions, from, to) };
 }
 
-/** Set a property of an input or parameter; undefined removes it. */
-export function declare(
-  d: Diagram,
-  section: "inputs" | "params",
-  name: string,
-  key: string,
-  value: Json | undefined,
-): Diagram {
+/** What a diagram or a chart declares with a type; the outputs of a chart are its ports. */
+export type Section = "inputs" | "params" | "ports" | "variables";
+
+function withVariables(d: Diagram, change: (all: readonly JsonObject[]) => readonly JsonObject[]): Diagram {
+  return d.chart ? { ...d, chart: { ...d.chart, variables: change(d.chart.variables) } } : d;
+}
+
+export function addVariable(d: Diagram, name: string): Diagram {
+  checkName(d, name);
+  return withVariables(d, (all) => [...all, { name, initial: real(0) }]);
+}
+
+export function removeVariable(d: Diagram, name: string): Diagram {
+  return withVariables(d, (all) => all.filter((one) => declaredName(one) !== name));
+}
+
+export function renameVariable(d: Diagram, from: string, to: string): Diagram {
+  if (from !== to) checkName(d, to, from);
+  return withVariables(d, (all) => all.map((one) => (declaredName(one) === from ? { ...one, name: to } : one)));
+}
+
+/** Set a property of an input, parameter or the like; undefined removes it. */
+export function declare(d: Diagram, section: Section, name: string, key: string, value: Json | undefined): Diagram {
   const change = (one: JsonObject): JsonObject => {
     const { [key]: _, ...rest } = one;
     if (value === undefined) return rest;
     return key in one ? { ...one, [key]: value } : ordered({ ...one, [key]: value });
   };
-  return { ...d, [section]: d[section].map((one) => (declaredName(one) === name ? change(one) : one)) };
+  const changed = (all: readonly JsonObject[]): JsonObject[] =>
+    all.map((one) => (declaredName(one) === name ? change(one) : one));
+  if (section === "inputs" || section === "params") return { ...d, [section]: changed(d[section]) };
+  return d.chart ? { ...d, chart: { ...d.chart, [section]: changed(d.chart[section]) } } : d;
 }
 
 /** Return the declaration of an input or parameter like a port. */

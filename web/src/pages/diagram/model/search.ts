@@ -64,6 +64,7 @@ const ALSO: ReadonlyMap<string, readonly string[]> = new Map(
     input: ["inport", "in1"],
     output: ["outport", "out1"],
     diagram: ["subsystem", "enabled subsystem"],
+    state_machine: ["stateflow", "chart"],
   }),
 );
 
@@ -75,10 +76,6 @@ const INSTEAD: readonly (readonly [words: readonly string[], instead: string])[]
   ],
   [["goto", "from", "goto tag"], "A wire needs no Goto: connect the source with each reader (C)."],
   [["terminator"], "An output that nobody reads needs no Terminator."],
-  [
-    ["stateflow", "chart", "state machine"],
-    "A state machine is written in Python (How to, “Write a state machine”), and comes here with its diagram.",
-  ],
   [
     ["matlab function", "s function", "fcn", "interpreted matlab function"],
     "A block of your own is written in Python (How to, “Add a block”), and comes here with its diagram.",

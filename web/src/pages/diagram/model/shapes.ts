@@ -1,5 +1,6 @@
 // What ports and parameters a part has. A library block's follow from its arguments, which Python decides: the page asks
 // the server once for each block and keeps the answer by the block's text.
+import { MACHINE, STATE } from "./chart";
 import { declaredName, findPart, type Block, type Diagram, type Part } from "./diagram";
 import { isList, isObject, Num, readJson, writeJson, type Json, type JsonObject } from "./json_text";
 
@@ -126,7 +127,7 @@ export class Shapes {
 }
 
 export function fromLibrary(block: Block): boolean {
-  return block.type !== "custom" && block.type !== "state_machine";
+  return !["custom", MACHINE, STATE].includes(block.type);
 }
 
 /** Return the type, size and unit of a port. */
@@ -174,9 +175,12 @@ function ofCustom(block: Block): Shape {
     inputs: items(block.json["inputs"]).map(portOf),
     outputs: items(block.json["outputs"]).map(portOf),
     params,
-    structure: writeJson({ ...block.json, params: items(block.json["params"]).map(withoutValue) }),
+    structure: writeJson({ ...block.json, params: items(block.json["params"]).map(withoutValue) }).replace(PLACE, ""),
   };
 }
+
+/** Place of a state, which changes no program. */
+const PLACE = /"position": \[[^\]]*\](, )?/g;
 
 export function withoutValue(declared: JsonObject): JsonObject {
   const { value: _, ...rest } = declared;

@@ -1,5 +1,5 @@
 // Ends of wires: sources and destinations to choose from, and wires made by a click.
-import { declaredName, findPart, wiresOf, type Connection, type Diagram } from "./diagram";
+import { findPart, wiresOf, type Connection, type Diagram } from "./diagram";
 import { connect, EditFault } from "./edits";
 import { portOf, portText, sourceEnd, sourceText, tops, type Port, type Shapes } from "./shapes";
 
@@ -58,8 +58,9 @@ export interface End {
   readonly from: string;
 }
 
-function about(port: Port | undefined): string {
-  return port === undefined ? "" : ` ${portText(port)}`.replace(/^ real/, "");
+function end(text: string, port: Port | undefined, from = ""): End {
+  const about = port === undefined ? "" : ` ${portText(port)}`.replace(/^ real/, "");
+  return { text, owner: text.split(".")[0]!, about, from };
 }
 
 /** Return the destinations of the wires at a node, incoming ones first. */
@@ -72,43 +73,38 @@ export function wiresAt(d: Diagram, id: string): string[] {
 }
 
 export function sourcesOf(d: Diagram, shapes: Shapes): End[] {
-  const inputs = tops(d.inputs.map(portOf)).map((name) => ({
-    text: name,
-    owner: name,
-    about: about(d.inputs.filter((one) => declaredName(one) === name).map(portOf)[0]),
-    from: "",
-  }));
+  const inputs = d.inputs.map(portOf);
   const parts = d.parts.flatMap((part) => {
     const { outputs } = shapes.of(part.item);
-    return tops(outputs).map((port) => ({
-      text: sourceText(part, port, shapes),
-      owner: part.name,
-      about: about(outputs.find((one) => one.name === port)),
-      from: "",
-    }));
+    const named = (port: string): Port | undefined => outputs.find((one) => one.name === port);
+    return tops(outputs).map((port) => end(sourceText(part, port, shapes), named(port)));
   });
-  return [...parts, ...inputs];
+  return [
+    ...parts,
+    ...tops(inputs).map((name) =>
+      end(
+        name,
+        inputs.find((one) => one.name === name),
+      ),
+    ),
+  ];
 }
 
 export function destinationsOf(d: Diagram, shapes: Shapes): End[] {
   const fed = new Map(d.connections.map(([source, to]) => [to, source]));
-  const parts = d.parts.flatMap((part) => {
-    const { inputs } = shapes.of(part.item);
+  const parts = d.parts.flatMap(({ name, item }) => {
+    const { inputs } = shapes.of(item);
     return tops(inputs).map((port) => {
-      const text = `${part.name}.${port}`;
-      return {
+      const text = `${name}.${port}`;
+      return end(
         text,
-        owner: part.name,
-        about: about(inputs.find((one) => one.name === port)),
-        from: fed.get(text) ?? "",
-      };
+        inputs.find((one) => one.name === port),
+        fed.get(text),
+      );
     });
   });
-  const outputs = d.outputs.map(([name, source]) => ({
-    text: name,
-    owner: name,
-    about: " output",
-    from: source ?? "",
-  }));
-  return [...parts, ...outputs];
+  return [
+    ...parts,
+    ...d.outputs.map(([name, source]) => ({ ...end(name, undefined, source ?? ""), about: " output" })),
+  ];
 }

@@ -23,7 +23,7 @@ export class LoopWorker {
     const loop = await api.compileLoop(text, rig, signal);
     if (signal.aborted) throw new DOMException("another one is compiled", "AbortError");
     const module = Uint8Array.from(atob(loop.module), (c) => c.charCodeAt(0)).buffer;
-    await this.ask({ do: "load", id: 0, module, table: loop.interface, ticks: loop.ticks });
+    await this.ask({ do: "load", module, table: loop.interface, ticks: loop.ticks });
     return (this.loop = loop);
   }
 
@@ -35,7 +35,6 @@ export class LoopWorker {
     const elements = outputs.filter((path) => shown.some((one) => path === one || path.startsWith(`${one}.`)));
     const { signals = {} } = await this.ask({
       do: "run",
-      id: 0,
       parameters: { ...loop.parameters, ...plan.parameters, ...own },
       states: loop.states,
       inputs: plan.inputs,

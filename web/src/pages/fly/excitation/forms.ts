@@ -31,18 +31,14 @@ function number(name: string, label: string, unit: string, value: number, low: n
 const seconds = (name: string, label: string, value: number, low = 0): Field =>
   number(name, label, "s", value, low, 3600);
 const hertz = (name: string, label: string, value: number): Field => number(name, label, "Hz", value, 0, 125);
-const whole = (name: string, label: string, value: number, low: number, high: number): Field => ({
-  ...number(name, label, "", value, low, high),
-  whole: true,
-});
+const whole = (name: string, label: string, value: number, low: number, high: number): Field => {
+  return { ...number(name, label, "", value, low, high), whole: true };
+};
+const numbers = (name: string, label: string, unit: string, values: readonly number[]): Field => {
+  return { name, label, type: "numbers", unit, values };
+};
 
-const numbers = (name: string, label: string, unit: string, values: readonly number[]): Field => ({
-  name,
-  label,
-  type: "numbers",
-  unit,
-  values,
-});
+const kind = (kind: string, label: string, text: string, ...fields: Field[]): Kind => ({ kind, label, text, fields });
 
 const HOLD = 0.001;
 
@@ -57,63 +53,61 @@ export function kinds(loop: Loop): readonly Kind[] {
   const harmonics = slow ? [1, 2, 3, 5, 7] : [2, 3, 5, 7, 11, 13, 19, 29];
   const laws = { choices: ["linear", "logarithmic"], value: "logarithmic" };
   return [
-    {
-      kind: "impulse",
-      label: "Impulse",
-      text: "A short pulse, then the free response.",
-      fields: [amplitude(), seconds("width", "Width", 0.2 * scale, HOLD)],
-    },
-    {
-      kind: "doublet",
-      label: "Doublet",
-      text: "The amplitude for half a period, then its opposite.",
-      fields: [amplitude(), seconds("period", "Period", 0.6 * scale, 2 * HOLD)],
-    },
-    {
-      kind: "3-2-1-1",
-      label: "3-2-1-1",
-      text: "Plus, minus, plus, minus for 3, 2, 1 and 1 times a step: a broader band than a doublet's.",
-      fields: [amplitude(), seconds("step", "Step", 0.2 * scale, HOLD)],
-    },
-    {
-      kind: "steps",
-      label: "Steps",
-      text: "Levels, one after the other.",
-      fields: [numbers("levels", "Levels", "amplitude", levels), seconds("hold", "Each held for", slow ? 4 : 2, HOLD)],
-    },
-    {
-      kind: "sweep",
-      label: "Sweep",
-      text: "A sine whose frequency rises.",
-      fields: [
-        amplitude(),
-        hertz("start_hz", "From frequency", slow ? 0.1 : 0.2),
-        hertz("end_hz", "To frequency", slow ? 1 : 4),
-        seconds("length", "Length", 20, HOLD),
-        { name: "law", label: "Frequency rises", type: "choice", ...laws },
-      ],
-    },
-    {
-      kind: "prbs",
-      label: "PRBS",
-      text: "A binary sequence that looks random, of 2^order − 1 bits.",
-      fields: [
-        amplitude(),
-        seconds("clock", "Each bit lasts", slow ? 0.4 : 0.06, HOLD),
-        whole("order", "Order", slow ? 5 : 7, 2, 16),
-        whole("seed", "Seed", 1, 1, 65535),
-      ],
-    },
-    {
-      kind: "multisine",
-      label: "Multisine",
-      text: "A sum of sines with phases that keep its peak low (Schroeder).",
-      fields: [
-        amplitude("peak", "Peak"),
-        seconds("period", "Period", 10, HOLD),
-        numbers("harmonics", "Harmonics of 1/period", "", harmonics),
-      ],
-    },
+    kind(
+      "impulse",
+      "Impulse",
+      "A short pulse, then the free response.",
+      amplitude(),
+      seconds("width", "Width", 0.2 * scale, HOLD),
+    ),
+    kind(
+      "doublet",
+      "Doublet",
+      "The amplitude for half a period, then its opposite.",
+      amplitude(),
+      seconds("period", "Period", 0.6 * scale, 2 * HOLD),
+    ),
+    kind(
+      "3-2-1-1",
+      "3-2-1-1",
+      "Plus, minus, plus, minus for 3, 2, 1 and 1 times a step: a broader band than a doublet's.",
+      amplitude(),
+      seconds("step", "Step", 0.2 * scale, HOLD),
+    ),
+    kind(
+      "steps",
+      "Steps",
+      "Levels, one after the other.",
+      numbers("levels", "Levels", "amplitude", levels),
+      seconds("hold", "Each held for", slow ? 4 : 2, HOLD),
+    ),
+    kind(
+      "sweep",
+      "Sweep",
+      "A sine whose frequency rises.",
+      amplitude(),
+      hertz("start_hz", "From frequency", slow ? 0.1 : 0.2),
+      hertz("end_hz", "To frequency", slow ? 1 : 4),
+      seconds("length", "Length", 20, HOLD),
+      { name: "law", label: "Frequency rises", type: "choice", ...laws },
+    ),
+    kind(
+      "prbs",
+      "PRBS",
+      "A binary sequence that looks random, of 2^order − 1 bits.",
+      amplitude(),
+      seconds("clock", "Each bit lasts", slow ? 0.4 : 0.06, HOLD),
+      whole("order", "Order", slow ? 5 : 7, 2, 16),
+      whole("seed", "Seed", 1, 1, 65535),
+    ),
+    kind(
+      "multisine",
+      "Multisine",
+      "A sum of sines with phases that keep its peak low (Schroeder).",
+      amplitude("peak", "Peak"),
+      seconds("period", "Period", 10, HOLD),
+      numbers("harmonics", "Harmonics of 1/period", "", harmonics),
+    ),
   ];
 }
 
