@@ -11,7 +11,7 @@ from twodof.cli.options import Force, Json, argument, flag, group, option
 from twodof.cli.output import exit_unless, one_line, print_fields, table, table_console
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
-from twodof.slx.difference import Difference, difference
+from twodof.slx.difference import ModelDifference, difference
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import Inspection, Library
 from twodof.slx.inspection import inspect as inspect_model
@@ -194,7 +194,7 @@ def diff(
     exit_unless(found.equal)
 
 
-def _print_difference(found: Difference) -> None:
+def _print_difference(found: ModelDifference) -> None:
     console = table_console()
     for path, kind in found.added:
         console.print(f"+ {one_line(path)} ({kind})", style="green")

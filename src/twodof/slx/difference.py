@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from twodof.slx.model import Block, Chart, Model, Pin, System, collapsed, escaped
+from twodof.slx.model import Model, Pin, SimulinkBlock, SimulinkChart, System, collapsed, escaped
 
 _LOOKS = re.compile(
     "Position|ZOrder|Location|Font|.*Color|Orientation|Block(Mirror|Rotation)|NamePlacement|NameLocation|ShowName"
@@ -19,7 +19,7 @@ _LOOKS = re.compile(
 
 
 @dataclass
-class Difference:
+class ModelDifference:
     """What differs. Each change of a value is (path, name, before, after); "" where there was none."""
 
     added: list[tuple[str, str]] = field(default_factory=list)
@@ -41,9 +41,9 @@ class Difference:
         return not (self.added or self.removed or self.renamed or self.values or self.wires or self.code)
 
 
-def difference(before: Model, after: Model) -> Difference:
+def difference(before: Model, after: Model) -> ModelDifference:
     """Return what differs between two models."""
-    found = Difference()
+    found = ModelDifference()
     old, new = dict(before.blocks()), dict(after.blocks())
     pairs = {path: path for path in old if path in new and old[path].type == new[path].type}
     left = {(block.sid, block.type): path for path, block in old.items() if path not in pairs}
@@ -73,12 +73,12 @@ def _split(path: str) -> list[str]:
     return re.split(r"(?<!/)/(?!/)", path)
 
 
-def _outermost(blocks: Mapping[str, Block]) -> list[tuple[str, str]]:
+def _outermost(blocks: Mapping[str, SimulinkBlock]) -> list[tuple[str, str]]:
     """Return paths and kinds, without the blocks inside a listed subsystem."""
     return [(path, block.kind) for path, block in blocks.items() if "/".join(_split(path)[:-1]) not in blocks]
 
 
-def _compare(old: Block, new: Block, path: str, found: Difference) -> None:
+def _compare(old: SimulinkBlock, new: SimulinkBlock, path: str, found: ModelDifference) -> None:
     before, after = _said(old), _said(new)
     looks = False
     for name in sorted({*before, *after}):
@@ -91,7 +91,7 @@ def _compare(old: Block, new: Block, path: str, found: Difference) -> None:
     found.looks += looks
 
 
-def _said(block: Block) -> dict[str, str]:
+def _said(block: SimulinkBlock) -> dict[str, str]:
     """Return all that is said of a block by name, with the mask's own parameters before the block's."""
     mask = {} if block.mask is None else {name: text for name, (_, text) in block.mask.parameters.items()}
     ports = {} if block.ports is None else {"ports": f"{block.ports[0]} in, {block.ports[1]} out"}
@@ -99,12 +99,12 @@ def _said(block: Block) -> dict[str, str]:
     return {**mask, **block.values, **block.instance, **ports, **signals}
 
 
-def _note(found: Difference, path: str, name: str, before: str, after: str) -> None:
+def _note(found: ModelDifference, path: str, name: str, before: str, after: str) -> None:
     if collapsed(before) != collapsed(after):
         found.values.append((path, name, before, after))
 
 
-def _compare_wires(before: Model, after: Model, pairs: Mapping[str, str], found: Difference) -> None:
+def _compare_wires(before: Model, after: Model, pairs: Mapping[str, str], found: ModelDifference) -> None:
     old = {wire for path, system in before.root.walk() for wire in _wires(path, system, pairs)}
     new = {wire for path, system in after.root.walk() for wire in _wires(path, system, {})}
     gone = {system for system, _ in old} - {path for path, _ in after.root.walk()}
@@ -136,13 +136,13 @@ def _port(pin: Pin) -> str:
 
 
 def _texts(model: Model) -> dict[str, str]:
-    def title(chart: Chart) -> str:
+    def title(chart: SimulinkChart) -> str:
         return f"{chart.path} ({'MATLAB Function' if chart.function else 'chart'})"
 
     return {**model.callbacks, **{title(chart): chart.text for chart in model.charts}}
 
 
-def _compare_code(before: Mapping[str, str], after: Mapping[str, str], found: Difference) -> None:
+def _compare_code(before: Mapping[str, str], after: Mapping[str, str], found: ModelDifference) -> None:
     for name in sorted({*before, *after}):
         old, new = before.get(name, "").splitlines(), after.get(name, "").splitlines()
         if old != new:

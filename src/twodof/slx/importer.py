@@ -17,19 +17,21 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.library import Constant, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, INPUTS, RULES, STATEFUL, TYPES, Asked, Made, Refused, Rule, Signal, expanded
+from twodof.slx.blocks import DROPPED, INPUTS, RULES
+from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, SUFFIXES
 from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction, last_index
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
-from twodof.slx.model import Block, Model, Pin, System, collapsed, escaped, read_model
+from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, read_model
+from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded
 
 _SINGLE = "single: computed in the precision of the build"
 _CONDITIONAL = ("EnablePort", "TriggerPort", "ActionPort", "ResetPort", "ForEach", "WhileIterator", "ForIterator")
 
 
 @dataclass(frozen=True)
-class Line:
+class ReportLine:
     """A line of the report: block path, its kind, what became of it, and why."""
 
     path: str
@@ -45,11 +47,11 @@ class Imported:
 
     diagram: Diagram | None
     dt: float
-    report: list[Line]
+    report: list[ReportLine]
     notes: list[str] = field(default_factory=list)
 
     @property
-    def refused(self) -> list[Line]:
+    def refused(self) -> list[ReportLine]:
         """The lines of what cannot be translated."""
         return [line for line in self.report if line.status == "refused"]
 
@@ -74,7 +76,7 @@ class _Import:
         self, model: Model, path: str, workspace: dict[str, Value], folders: Sequence[Path], dt: float | None
     ) -> None:
         self.model, self.path, self.folders = model, collapsed(path).strip("/"), folders
-        self.report: list[Line] = []
+        self.report: list[ReportLine] = []
         self.notes = list[str]()
         self.libraries: dict[str, Model | None] = {}
         names: dict[str, Value] = {}
@@ -83,7 +85,7 @@ class _Import:
                 self.notes.append(f"{callback}, line {skipped.line}: {skipped.why}")
         self.names = {**names, **workspace}
         self.systems: dict[str, tuple[System, dict[str, Value]]] = {}
-        self.blocks: dict[tuple[str, str], Block] = {}
+        self.blocks: dict[tuple[str, str], SimulinkBlock] = {}
         self.made: dict[tuple[str, str], Made] = {}
         self.signals: dict[tuple[str, str, int], Signal] = {}
         self.approximated: dict[tuple[str, str], list[str]] = {}
@@ -115,7 +117,7 @@ class _Import:
             at = f"{at}/{part}".lstrip("/")
         return names
 
-    def _inside(self, block: Block, given: Mapping[str, str], names: dict[str, Value]) -> dict[str, Value]:
+    def _inside(self, block: SimulinkBlock, given: Mapping[str, str], names: dict[str, Value]) -> dict[str, Value]:
         """Return the names inside a masked block, which has values `given` by a link."""
         if block.mask is None:
             return names
@@ -140,7 +142,7 @@ class _Import:
             at = f"{path}/{escaped(block.name)}".lstrip("/")
             if block.type in _CONDITIONAL:
                 self.report.append(
-                    Line(at, block.kind, "refused", "conditional and iterated subsystems are not translated")
+                    ReportLine(at, block.kind, "refused", "conditional and iterated subsystems are not translated")
                 )
                 continue
             self.blocks[path, sid] = block
@@ -148,18 +150,18 @@ class _Import:
                 continue
             try:
                 inner, source = self._body(block, names)
-            except Refused as reason:
-                self.report.append(Line(at, block.kind, "refused", str(reason)))
+            except NotTranslated as reason:
+                self.report.append(ReportLine(at, block.kind, "refused", str(reason)))
                 continue
             if inner is not None:
                 self._collect(at, inner, self._inside(source, {**block.values, **block.instance}, names), depth + 1)
 
-    def _body(self, block: Block, names: dict[str, Value]) -> tuple[System | None, Block]:
+    def _body(self, block: SimulinkBlock, names: dict[str, Value]) -> tuple[System | None, SimulinkBlock]:
         """Return what is inside a block, and who has its mask: a link's library block, a variant's active choice."""
         if block.kind == "MATLAB Function":
             return None, block
         if block.kind in ("Chart", "State Transition Table", "Truth Table"):
-            raise Refused(f"a {block.kind} is not translated")
+            raise NotTranslated(f"a {block.kind} is not translated")
         if block.type == "SubSystem":
             if block.values.get("Variant", "off") == "on":
                 choice = self._choice(block, names)
@@ -169,17 +171,17 @@ class _Import:
             return None, block
         library, _, inside = collapsed(block.values.get("SourceBlock", "")).partition("/")
         if library in OWN_LIBRARIES:
-            raise Refused(f"the library block {library}/{inside} is not translated")
+            raise NotTranslated(f"the library block {library}/{inside} is not translated")
         model = self._library(library)
         if model is None:
-            raise Refused(f"the library {library} is not found: name its folder with --path")
+            raise NotTranslated(f"the library {library} is not found: name its folder with --path")
         found = dict(model.blocks()).get(inside)
         if found is None or found.system is None:
-            raise Refused(f"the library {library} has no subsystem {inside}")
+            raise NotTranslated(f"the library {library} has no subsystem {inside}")
         return found.system, found
 
     @staticmethod
-    def _choice(block: Block, names: dict[str, Value]) -> Block:
+    def _choice(block: SimulinkBlock, names: dict[str, Value]) -> SimulinkBlock:
         """Return the active choice of a variant: by its label, or the one whose condition is true."""
         inside = block.system.blocks.values() if block.system is not None else ()
         choices = [one for one in inside if one.type not in ("Inport", "Outport") and not one.commented]
@@ -195,11 +197,11 @@ class _Import:
                 try:
                     held = bool(np.all(number(evaluate(condition, names))))
                 except DiagramError as reason:
-                    raise Refused(f"condition of the choice {collapsed(one.name)}: {reason.what}") from None
+                    raise NotTranslated(f"condition of the choice {collapsed(one.name)}: {reason.what}") from None
             active += [one] * held
         active = active or [one for one in choices if one.values.get("VariantControl") == "(default)"]
         if len(active) != 1 or active[0].type != "SubSystem":
-            raise Refused(
+            raise NotTranslated(
                 f"{len(active)} choices of the variant are active: give their conditions' names by --workspace"
             )
         return active[0]
@@ -222,7 +224,7 @@ class _Import:
                 values = number(evaluate(text, self.systems[path][1], "SampleTime"))
             except DiagramError as reason:
                 where = f"{path}/{escaped(block.name)}".lstrip("/")
-                self.report.append(Line(where, block.kind, "refused", f"parameter SampleTime: {reason.what}"))
+                self.report.append(ReportLine(where, block.kind, "refused", f"parameter SampleTime: {reason.what}"))
                 continue
             if values.size and 0 < float(values.flat[0]) < float("inf"):
                 found.setdefault(float(values.flat[0]), f"{path}/{escaped(block.name)}".lstrip("/"))
@@ -236,7 +238,9 @@ class _Import:
                 ) from None
         if len(found) > 1:
             several = ", ".join(f"{time:g} s ({where})" for time, where in sorted(found.items()))
-            self.report.append(Line("", "sample times", "refused", f"several periods are not translated: {several}"))
+            self.report.append(
+                ReportLine("", "sample times", "refused", f"several periods are not translated: {several}")
+            )
         return min(found)
 
     # --- the types of the signals
@@ -246,21 +250,21 @@ class _Import:
         path = f"{key[0]}/{escaped(block.name)}".lstrip("/")
         try:
             step()  # type: ignore[operator]
-        except (Refused, NotComputed, DiagramError) as reason:
+        except (NotTranslated, NotComputed, DiagramError) as reason:
             why = reason.what if isinstance(reason, DiagramError) else str(reason)
-            self.report.append(Line(path, block.kind, "refused", why))
+            self.report.append(ReportLine(path, block.kind, "refused", why))
             self.made[key] = Made(None, [])
             return False
         return True
 
-    def _inport(self, key: tuple[str, str], block: Block) -> None:
+    def _inport(self, key: tuple[str, str], block: SimulinkBlock) -> None:
         said = collapsed(block.values.get("OutDataTypeStr", "Inherit: auto"))
         if not said.startswith("Inherit") and said not in TYPES:
-            raise Refused(f"OutDataTypeStr = {said!r} is not translated")
+            raise NotTranslated(f"OutDataTypeStr = {said!r} is not translated")
         size = evaluate(block.values.get("PortDimensions", "-1"), self.systems[key[0]][1], "PortDimensions")
         elements = [int(n) for n in as_array(number(size)).flatten()]
         if len([n for n in elements if n > 1]) > 1:
-            raise Refused(f"PortDimensions = {block.values['PortDimensions']} is not translated")
+            raise NotTranslated(f"PortDimensions = {block.values['PortDimensions']} is not translated")
         width = max(elements)
         if said == "single":
             self.approximated.setdefault(key, []).append(_SINGLE)
@@ -315,9 +319,9 @@ class _Import:
                 sid for sid, b in system.blocks.items() if b.type == "Goto" and b.values.get("GotoTag", "A") == tag
             ]
             if len(gotos) != 1:
-                raise Refused(f"{len(gotos)} Goto blocks have the tag {tag} in this system")
+                raise NotTranslated(f"{len(gotos)} Goto blocks have the tag {tag} in this system")
             pin = Pin(gotos[0], "in", 1)
-        raise Refused("From and Goto blocks lead in a circle")
+        raise NotTranslated("From and Goto blocks lead in a circle")
 
     def _known(self, source: tuple[str, str, int] | None) -> Signal | None:
         """Return the type of a source; that of nothing is a scalar 0. None: not known yet."""
@@ -343,7 +347,7 @@ class _Import:
         return "/".join(parts[:-1]), "/", parts[-1]
 
     @staticmethod
-    def _is_system(block: Block) -> bool:
+    def _is_system(block: SimulinkBlock) -> bool:
         return block.type in ("SubSystem", "Reference") and block.kind not in (*RULES, "MATLAB Function")
 
     def _port(self, path: str, kind: str, number: int) -> str | None:
@@ -363,15 +367,15 @@ class _Import:
             if not ready:
                 for (path, _), block in waiting.items():
                     where, status = f"{path}/{escaped(block.name)}".lstrip("/"), "not reached"
-                    self.report.append(Line(where, block.kind, status, "the types of its inputs are not known"))
+                    self.report.append(ReportLine(where, block.kind, status, "the types of its inputs are not known"))
                 return
             for key in ready:
                 del waiting[key]
 
-    def _breaks(self, key: tuple[str, str], block: Block, count: int) -> bool:
+    def _breaks(self, key: tuple[str, str], block: SimulinkBlock, count: int) -> bool:
         return block.type in STATEFUL and self._translate(key, block, count, True)
 
-    def _input_count(self, key: tuple[str, str], block: Block) -> int:
+    def _input_count(self, key: tuple[str, str], block: SimulinkBlock) -> int:
         if block.ports is not None:
             return block.ports[0]
         used = [
@@ -382,7 +386,7 @@ class _Import:
         ]
         return max(*used, INPUTS.get(block.type, 1)) if used else INPUTS.get(block.type, 1)
 
-    def _translate(self, key: tuple[str, str], block: Block, count: int, assume: bool) -> bool:
+    def _translate(self, key: tuple[str, str], block: SimulinkBlock, count: int, assume: bool) -> bool:
         """Translate a block whose inputs are known, or assume a scalar; return whether it is done, refused or not."""
         path, names = key[0], self.systems[key[0]][1]
         rule = self._matlab_function(path, block) if block.kind == "MATLAB Function" else RULES.get(block.kind)
@@ -391,7 +395,7 @@ class _Import:
             return True
         try:
             inputs = [self._known(self._source(path, Pin(key[1], "in", k + 1))) for k in range(count)]
-        except Refused as reason:
+        except NotTranslated as reason:
             self._refuse(key, str(reason))
             return True
         if any(one is None for one in inputs) and not assume:
@@ -410,19 +414,19 @@ class _Import:
         self._try(key, translate)
         return True
 
-    def _code(self, path: str, block: Block) -> str:
+    def _code(self, path: str, block: SimulinkBlock) -> str:
         where = f"{path}/{escaped(block.name)}".lstrip("/")
         return next((one.text for one in self.model.charts if one.function and collapsed(one.path) == where), "")
 
-    def _matlab_function(self, path: str, block: Block) -> Rule:
+    def _matlab_function(self, path: str, block: SimulinkBlock) -> Rule:
         """Return the rule of a MATLAB Function: its code stands with the charts, by its path."""
         code = self._code(path, block)
 
         def made(c: Asked) -> Made:
             if not code:
-                raise Refused("its code is not in the file")
+                raise NotTranslated("its code is not in the file")
             if any(one.kind != "real" for one in c.inputs):
-                raise Refused("inputs that are not double are not translated")
+                raise NotTranslated("inputs that are not double are not translated")
             item = MatlabFunction(code, [one.width for one in c.inputs], c.names)
             return Made(item, [Signal("real", port.width) for port in item.outputs], expand=False)
 
@@ -430,7 +434,7 @@ class _Import:
 
     def _refuse(self, key: tuple[str, str], why: str) -> None:
         block = self.blocks[key]
-        self.report.append(Line(f"{key[0]}/{escaped(block.name)}".lstrip("/"), block.kind, "refused", why))
+        self.report.append(ReportLine(f"{key[0]}/{escaped(block.name)}".lstrip("/"), block.kind, "refused", why))
         self.made[key] = Made(None, [])
 
     # --- the diagram
@@ -467,17 +471,17 @@ class _Import:
         return diagram
 
     @staticmethod
-    def _ordered(system: System) -> Iterator[tuple[str, Block]]:
+    def _ordered(system: System) -> Iterator[tuple[str, SimulinkBlock]]:
         """Yield the ports by number, then the other blocks, so that names are the ports' first."""
 
-        def rank(item: tuple[str, Block]) -> tuple[int, int]:
+        def rank(item: tuple[str, SimulinkBlock]) -> tuple[int, int]:
             said = item[1].values.get("Port", "1")
             kinds = {"Inport": 0, "Outport": 1}
             return kinds.get(item[1].type, 2), int(said) if said.isdigit() and item[1].type in kinds else 0
 
         return iter(sorted(system.blocks.items(), key=rank))
 
-    def _add(self, diagram: Diagram, path: str, sid: str, block: Block, names: Mapping[str, str]) -> None:
+    def _add(self, diagram: Diagram, path: str, sid: str, block: SimulinkBlock, names: Mapping[str, str]) -> None:
         inner = f"{path}/{escaped(block.name)}".lstrip("/")
         if block.commented:
             self._report(path, sid, "dropped", "commented out")
@@ -498,7 +502,7 @@ class _Import:
         notes = self.approximated.get((path, sid), [])
         self._report(path, sid, "approximated" if notes else "imported", "; ".join(notes))
 
-    def _wire(self, diagram: Diagram, path: str, sid: str, block: Block, names: Mapping[str, str]) -> None:
+    def _wire(self, diagram: Diagram, path: str, sid: str, block: SimulinkBlock, names: Mapping[str, str]) -> None:
         name = names[sid]
         if name not in diagram.parts:
             return
@@ -537,7 +541,7 @@ class _Import:
         notes = self.approximated.get((path, sid), [])
         if notes and status == "imported":
             status, why = "approximated", "; ".join(notes)
-        self.report.append(Line(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
+        self.report.append(ReportLine(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
 
 
 def _with_ports(system: System) -> System:
@@ -549,11 +553,11 @@ def _with_ports(system: System) -> System:
             if block.type == kind and not block.commented:
                 number += 1
                 values = {"Port": str(number), "Position": block.values.get("Position", "")}
-                blocks[sid] = Block(port, block.values.get("VariableName", "sim"), sid, values)
+                blocks[sid] = SimulinkBlock(port, block.values.get("VariableName", "sim"), sid, values)
     return System(blocks, system.lines, system.notes)
 
 
-def _position(block: Block) -> tuple[float, float] | None:
+def _position(block: SimulinkBlock) -> tuple[float, float] | None:
     numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", block.values.get("Position", ""))]
     return (numbers[0], numbers[1]) if len(numbers) == 4 and max(map(abs, numbers)) < 1e6 else None
 

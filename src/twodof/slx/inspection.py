@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.slx.model import Block, Mask, Model, System, collapsed, escaped, read_model
+from twodof.slx.model import Mask, Model, SimulinkBlock, System, collapsed, escaped, read_model
 
 OWN_LIBRARIES = ("simulink", "slpidlib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")
 """Libraries that are Simulink's own: their blocks stand for code and are in no file of the user's."""
@@ -145,7 +145,7 @@ def _number(text: str) -> int:
     return int(text) if text.isdigit() else 0
 
 
-def sample_time(block: Block) -> str:
+def sample_time(block: SimulinkBlock) -> str:
     """Return the sample time that a block has of its own, as text; "" where it takes that of its inputs."""
     values = {**block.values, **block.instance}
     said = collapsed(values.get("SampleTime", values.get("SystemSampleTime", "")))

@@ -73,7 +73,7 @@ class Mask:
 
 
 @dataclass
-class Block:
+class SimulinkBlock:
     """A block: its type, name, identifier (SID), the parameters that the file gives, its mask and what is inside."""
 
     type: str
@@ -107,7 +107,7 @@ class Block:
 class System:
     """A sheet: its blocks by identifier, its lines and notes."""
 
-    blocks: dict[str, Block]
+    blocks: dict[str, SimulinkBlock]
     lines: list[Line]
     notes: list[str]
 
@@ -120,7 +120,7 @@ class System:
 
 
 @dataclass
-class Chart:
+class SimulinkChart:
     """A MATLAB Function or a Stateflow chart: its path, and the code or labels in it."""
 
     path: str
@@ -141,10 +141,10 @@ class Model:
     defaults: dict[str, dict[str, str]]
     """Parameters that the file gives to all blocks of a type."""
     root: System
-    charts: list[Chart]
+    charts: list[SimulinkChart]
     parts: list[str]
 
-    def blocks(self) -> Iterator[tuple[str, Block]]:
+    def blocks(self) -> Iterator[tuple[str, SimulinkBlock]]:
         """Yield each block with its path from the model's top."""
         for path, system in self.root.walk():
             for block in system.blocks.values():
@@ -180,7 +180,7 @@ def read_model(path: str | Path) -> Model:
     except LogError as reason:
         remedy = "give a .slx or .mdl file; open a damaged one in Simulink and save it again"
         raise DiagramError(reason.what, reason.where, remedy) from reason
-    charts = [Chart(*one) for one in plain.pop("charts")]
+    charts = [SimulinkChart(*one) for one in plain.pop("charts")]
     return Model(name=Path(path).stem, root=_system(plain.pop("root")), charts=charts, **plain)
 
 
@@ -190,9 +190,9 @@ def _system(plain: Mapping[str, Any]) -> System:
     return System(blocks, lines, plain["notes"])
 
 
-def _block(plain: dict[str, Any]) -> Block:
+def _block(plain: dict[str, Any]) -> SimulinkBlock:
     mask, system, ports = plain.pop("mask", None), plain.pop("system", None), plain.pop("ports", None)
-    return Block(
+    return SimulinkBlock(
         **{**plain, "signals": {int(k): v for k, v in plain.get("signals", {}).items()}},
         mask=None if mask is None else Mask(mask[0], {k: (v[0], v[1]) for k, v in mask[1].items()}, mask[2]),
         system=None if system is None else _system(system),

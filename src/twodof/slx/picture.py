@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from html import escape
 
 from twodof.drawing.text_width import shortened, text_width
-from twodof.slx.model import Block, Line, Model, Pin, System, Wire, collapsed, escaped
+from twodof.slx.model import Line, Model, Pin, SimulinkBlock, System, Wire, collapsed, escaped
 
 Point = tuple[float, float]
 Rectangle = tuple[float, float, float, float]
@@ -84,7 +84,7 @@ def sheet_svg(model: Model, path: str = "") -> str:
     return "\n".join(sheet.document())
 
 
-def pin_points(block: Block, box: Rectangle, counts: tuple[int, int]) -> Callable[[Pin], Point]:
+def pin_points(block: SimulinkBlock, box: Rectangle, counts: tuple[int, int]) -> Callable[[Pin], Point]:
     """Return where the pins of a block are: spread over its sides as Simulink does, turned and mirrored with it."""
     turns = _turns(block)
     round_sum = block.type == "Sum" and block.values.get("IconShape", "round") == "round"
@@ -111,7 +111,7 @@ def pin_points(block: Block, box: Rectangle, counts: tuple[int, int]) -> Callabl
     return at
 
 
-def _turns(block: Block) -> tuple[int, bool]:
+def _turns(block: SimulinkBlock) -> tuple[int, bool]:
     """Return by how many quarters a block is turned clockwise, and whether it is mirrored."""
     older = {"left": (0, True), "down": (1, False), "up": (3, False)}
     if (said := block.values.get("Orientation", "")) in older:
@@ -199,7 +199,7 @@ class _Sheet:
         for branch in wire.branches:
             yield from self.pieces(branch, way[-1])
 
-    def block(self, block: Block) -> Iterator[str]:
+    def block(self, block: SimulinkBlock) -> Iterator[str]:
         left, top, right, bottom = self.boxes[block.sid]
         width, height, x = right - left, bottom - top, (left + right) / 2
         link = sheet_name(self.model, f"{self.path}/{escaped(block.name)}".lstrip("/")) if block.system else ""
@@ -219,7 +219,7 @@ class _Sheet:
             yield "</a>"
         yield "</g>"
 
-    def inside(self, block: Block) -> str:
+    def inside(self, block: SimulinkBlock) -> str:
         if block.type in ("Inport", "Outport", "InportShadow"):
             return block.values.get("Port", "1")
         if block.type == "Sum":
@@ -229,7 +229,7 @@ class _Sheet:
             return block.kind
         return _INSIDE[block.type](block.values) if block.type in _INSIDE else block.kind
 
-    def outline(self, block: Block, left: float, top: float, width: float, height: float) -> str:
+    def outline(self, block: SimulinkBlock, left: float, top: float, width: float, height: float) -> str:
         if block.type in ("Mux", "Demux", "BusCreator", "BusSelector") and min(width, height) < 14:
             return f'<rect class="bar" x="{left:g}" y="{top:g}" width="{width:g}" height="{height:g}"/>'
         if block.type == "Sum" and block.values.get("IconShape", "round") == "round":
@@ -243,7 +243,7 @@ class _Sheet:
         inner = " inner" if block.system is not None else ""
         return f'<rect class="block{inner}" x="{left:g}" y="{top:g}" width="{width:g}" height="{height:g}"{rounded}/>'
 
-    def port_names(self, block: Block, inner: System, width: float) -> Iterator[str]:
+    def port_names(self, block: SimulinkBlock, inner: System, width: float) -> Iterator[str]:
         turned, mirrored = _turns(block)
         if turned:
             return
@@ -262,7 +262,7 @@ def _label(text: str, x: float, y: float, most: float, kind: str = "") -> str:
     return f'<text{styled} x="{x:g}" y="{y:g}">{_text(shortened(collapsed(text), TEXT, most))}</text>'
 
 
-def _unnamed(block: Block) -> bool:
+def _unnamed(block: SimulinkBlock) -> bool:
     """Whether Simulink hides the name: one that it gave itself, such as Gain2."""
     stem = re.sub(r"[\s\d]+", "", block.name).lower()
     if block.values.get("HideAutomaticName", "on") == "off" or block.type in ("Inport", "Outport", "SubSystem"):
@@ -270,7 +270,7 @@ def _unnamed(block: Block) -> bool:
     return stem in (block.type.lower(), block.kind.lower())
 
 
-def _box(block: Block, index: int) -> Rectangle:
+def _box(block: SimulinkBlock, index: int) -> Rectangle:
     """Return left, top, right and bottom; a block without a place stands in a grid."""
     numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", block.values.get("Position", ""))]
     if len(numbers) == 4 and max(map(abs, numbers)) < 1e6:

@@ -20,7 +20,7 @@ def plain_model(data: bytes, where: str) -> Answer:
     """Return the model of a file's bytes as JSON values. Raises LogError for a file that is damaged or no model."""
     package = Package(data, where)
     top = package.diagram()
-    content = Content(package)
+    content = PackageReader(package)
     root = top.find("System")
     if root is None:
         raise LogError("has no diagram", where, REMEDY)
@@ -39,7 +39,7 @@ def plain_model(data: bytes, where: str) -> Answer:
     return model, []
 
 
-class Content:
+class PackageReader:
     """Reader of one package: how many blocks it has seen, and which systems."""
 
     def __init__(self, package: Package) -> None:

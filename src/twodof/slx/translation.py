@@ -1,0 +1,142 @@
+"""Translation of one Simulink block: what is asked, what it became, and the types of its signals."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks import Diagram
+from twodof.blocks.block import Block as LibraryBlock
+from twodof.blocks.library import (
+    MatrixGain,
+    ZeroOrderHold,
+)
+from twodof.errors import DiagramError
+from twodof.slx.matlab import evaluate
+from twodof.slx.matlab_values import Value, number
+from twodof.slx.model import SimulinkBlock, collapsed
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The type of a signal: its kind in the block language, and its width; None of a scalar."""
+
+    kind: str = "real"
+    width: int | None = None
+
+
+class NotTranslated(Exception):
+    """Why a block cannot be imported."""
+
+
+@dataclass
+class Asked:
+    """A block to be translated: its values as text, the names that they may use, and the signals at its inputs."""
+
+    block: SimulinkBlock
+    path: str
+    values: dict[str, str]
+    names: dict[str, Value]
+    inputs: list[Signal]
+    dt: float
+    notes: list[str] = field(default_factory=list)
+    """What is approximated."""
+
+    def text(self, name: str, default: str = "") -> str:
+        """Return a choice as it stands in the file."""
+        return collapsed(self.values.get(name, default))
+
+    def value(self, name: str, default: str) -> np.ndarray[Any, Any]:
+        """Return a parameter's array. Raises NotTranslated, naming it."""
+        text = self.values.get(name, default)
+        try:
+            found = number(evaluate(text, self.names, name))
+        except DiagramError as error:
+            raise NotTranslated(f"parameter {name}: {error.what}") from None
+        if not isinstance(found, np.ndarray):
+            raise NotTranslated(f"parameter {name} = {text[:60]} is not a number")
+        return found
+
+    def scalar(self, name: str, default: str) -> float:
+        """Return a parameter of one number. Raises NotTranslated for an array."""
+        found = self.value(name, default)
+        if found.size != 1:
+            raise NotTranslated(f"parameter {name} has {found.size} elements, which is not translated")
+        return float(found.flat[0])
+
+    def needs(self, name: str, default: str, *known: str) -> str:
+        """Return a choice that must be one of `known`."""
+        found = self.text(name, default)
+        if found not in known:
+            raise NotTranslated(f"{name} = {found!r} is not translated")
+        return found
+
+    def pick(self, name: str, default: str, choices: dict[str, Any]) -> Any:
+        """Return what a choice stands for."""
+        return choices[self.needs(name, default, *choices)]
+
+    @property
+    def width(self) -> int | None:
+        """The width of the widest input: scalars are expanded to it."""
+        widths = {one.width for one in self.inputs if one.width is not None}
+        if len(widths) > 1:
+            raise NotTranslated(f"its inputs have {' and '.join(map(str, sorted(widths)))} elements")
+        return widths.pop() if widths else None
+
+    def kind(self, *allowed: str) -> str:
+        """Return the kind that all inputs have."""
+        kinds = {one.kind for one in self.inputs}
+        if len(kinds) != 1 or not kinds <= set(allowed):
+            raise NotTranslated(f"inputs of type {' and '.join(sorted(kinds))} are not translated")
+        return kinds.pop()
+
+
+Item = LibraryBlock | Diagram
+
+
+@dataclass
+class Made:
+    """What a block became: None where it only passes its inputs on, or is dropped."""
+
+    item: Item | None
+    outputs: list[Signal]
+    ports: Sequence[str] | None = None
+    """The names of the inputs in Simulink's order; None: those of the item."""
+    expand: bool = True
+    """Whether a scalar at an input is expanded to the others' width."""
+
+
+Rule = Callable[[Asked], Made]
+
+
+def same(c: Asked, item: LibraryBlock, kind: str = "real") -> Made:
+    """Return a block with one output, as wide as its inputs."""
+    return Made(item, [Signal(kind, c.width)])
+
+
+def plain(value: Any, kind: str) -> Any:
+    """Return a number as the parameter of a kind."""
+    return bool(value) if kind == "bool" else float(value) if kind == "real" else int(value)
+
+
+def expanded(d: Diagram, source: str, signal: Signal, width: int | None) -> str:
+    """Return the source of a signal with this width: a scalar is repeated. Raises NotTranslated for another width."""
+    if signal.width == width or width is None:
+        return source
+    if signal.width is not None or signal.kind != "real":
+        raise NotTranslated(f"an input of {signal.width or 1} elements meets {width}")
+    name = f"{source.replace('.', '_')}_expanded"
+    if name not in d.parts:
+        d.add(name, MatrixGain([[1.0]] * width), u=source)
+    return name
+
+
+def passes(c: Asked) -> Made:
+    """Return a block that passes its input on."""
+    one = c.inputs[0]
+    return Made(ZeroOrderHold(one.kind, one.width), [one])
+
+
+TYPES = {"double": "real", "single": "real", "boolean": "bool", "int32": "int32", "uint32": "uint32"}
+"""Data types that have a kind here."""
