@@ -8,8 +8,19 @@ from typing import Annotated, Any, Literal
 import typer
 
 from twodof.cli.flown import write_view
-from twodof.cli.input import read_input
-from twodof.cli.options import Force, Json, Members, PromiseFile, PromisePlot, Seed, StockGains, argument, group, option
+from twodof.cli.options import (
+    Force,
+    Json,
+    Members,
+    PromiseFile,
+    PromisePlot,
+    Seed,
+    StockGains,
+    argument,
+    group,
+    option,
+    read_input,
+)
 from twodof.cli.output import exit_unless, print_fields, print_json, progress, say_line, table_console
 from twodof.design.cascade import SEPARATION, CascadeDesign
 from twodof.design.designed_controller import CROSSOVER, design_controller

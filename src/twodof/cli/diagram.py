@@ -12,9 +12,8 @@ from rich.table import Table
 
 from twodof.blocks.declarations import unknown_name
 from twodof.cli.diagram_tests import run_tests
-from twodof.cli.input import read_input
-from twodof.cli.margins import margins
-from twodof.cli.options import Force, Json, Reals, argument, flag, group, option
+from twodof.cli.margins import cascade_loops
+from twodof.cli.options import Force, Json, Reals, argument, flag, group, option, read_input
 from twodof.cli.output import exit_unless, print_fields, print_json, table, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c_files.c_files import SourceLine, SourceMap, c_files, source_map
@@ -33,7 +32,7 @@ from twodof.report.state_machine_svg import machine_at, machine_svg
 
 diagram = group("Start, check, test, draw, read, export and linearize diagrams, and say the margins of their loops.")
 diagram.command("test")(run_tests)
-diagram.command()(margins)
+diagram.command("margins")(cascade_loops)
 
 MAX_AT_BYTES = 2**20
 
