@@ -113,7 +113,6 @@ def code(text: str, precision: str) -> dict[str, Any]:
     found = source_map(emitted)
     return {
         "lines": [[line.text, line.block, line.part] for line in found.lines],
-        "kinds": {},
         "left_out": list(found.left_out),
     }
 
