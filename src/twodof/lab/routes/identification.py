@@ -25,6 +25,7 @@ from twodof.lab.processes import Job
 
 router = lab_router("/api/identification", "identification")
 Second = Annotated[Finite, Field(ge=0.0, le=1e6)]
+Prior = Annotated[dict[str, Annotated[tuple[float, float], Field(strict=False)]], Field(max_length=20)]
 DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
 
@@ -49,8 +50,7 @@ class FitRequest(RequestBody):
     """Log to identify from, by its name among the flights.
 
     `kind` is the kind of experiment; left out, it comes from the log. `impulse` is a free response, from which a
-    doublet's poles come. `others` are logs of the same kind to validate on. `window` [s] is a stretch of the log.
-    `prior` has means and standard deviations.
+    doublet's poles come; `others` validate. `window` [s] is a stretch of the log, `prior` has means and deviations.
     """
 
     log: LogName
@@ -60,9 +60,7 @@ class FitRequest(RequestBody):
     others: Annotated[list[LogName], Field(max_length=8)] = Field(default_factory=list)
     window: Annotated[tuple[Second, Second], Field(strict=False)] | None = None  # JSON has no tuples
     disturbance: Literal["auto", "white", "ar", "input"] = "auto"
-    prior: Annotated[dict[str, Annotated[tuple[float, float], Field(strict=False)]], Field(max_length=20)] = Field(
-        default_factory=dict
-    )
+    prior: Prior = Field(default_factory=dict)
 
 
 @router.get("")
@@ -120,8 +118,9 @@ async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> 
 async def fitted(lab: CurrentLab, asked: FitRequest) -> dict[str, Any]:
     """Start a job that identifies from a log by output error and by hand; its result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
-        what = f"nothing is identified from {shown(asked.kind)}"
-        raise ParameterError(what, "kind", f"choose one of {listed(KINDS)}")
+        raise ParameterError(
+            f"nothing is identified from {shown(asked.kind)}", "kind", f"choose one of {listed(KINDS)}"
+        )
     impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
     others = [str(lab.whole_log(name)) for name in asked.others]
     given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance, asked.prior)
