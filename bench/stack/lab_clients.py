@@ -27,7 +27,6 @@ from websockets.exceptions import ConnectionClosed
 from bench.measure import Figure
 from bench.stack.flight_stack import start_pair
 from bench.stack.programs import START_S, Running, running
-from twodof.fleet.local_fleet import NICENESS
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.lab.settings import WATCH_TOKEN
 from twodof.signals import TOPICS
@@ -202,8 +201,6 @@ def measure(drones: int, clients: int, seconds: float) -> list[Figure]:
         urls = [url for _, _, url in pairs]
         connecting = [word for url in urls for word in ("--connect", url)]
         server = stack.enter_context(running("lab", "--port", "0", *connecting, urls=1, folder=folder))
-        # As `twodof up` has it: what flies goes before what shows it.
-        os.setpriority(os.PRIO_PROCESS, server.process.pid, min(19, os.nice(0) + NICENESS))
         load = Load(int(server.urls[0].rpartition(":")[2]), drones)
         return asyncio.run(_measured(load, server, [p for pair in pairs for p in pair[:2]], urls, clients, seconds))
 

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from tests.experiment.drones import drone_thread
-from twodof.cli import parameters
+from twodof.cli import connection
 from twodof.cli.app import run
 from twodof.gcs.drone import Drone
 
@@ -32,7 +32,7 @@ def test_a_controller_is_tuned_from_the_shell(
         assert said("--changed", "--json")["parameters"] == []
         assert said("--changed") == "all are at their defaults\n"
         assert "…" not in said()
-        monkeypatch.setattr(parameters, "table_console", lambda: Console(width=70))
+        monkeypatch.setattr(connection, "table_console", lambda: Console(width=70))
         assert re.search(rf"{NAME} +0.108704\d+ +0.108704\d+ +0 +1  s/rad", said())  # in a narrow terminal too
         monkeypatch.undo()
         assert f"{NAME}    0.2  0.10870461     0     1  s/rad  {PATH}: " in said(f"{PATH}=0.2", "RATE_KP=0.07")

@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.lab.served import COMMAND, Served, served
+from tests.patience import patiently
 from tests.web.conftest import THEMES, OpenPage, axe, picture, scrolls_sideways
 from tests.web.test_diagram_page import FLOWN, block, drawn, hearing, kept, link, sheet
 from twodof.blocks import Diagram, Port, State
@@ -133,7 +134,10 @@ def test_a_machine_drawn_by_mouse_flies_as_the_one_in_python(server: Served, ope
         sheet(page).press("s")
     expect(page.get_by_role("list", name="On the scope").get_by_role("listitem")).to_have_count(2)
     expect(flown.get_by_text(FLOWN)).to_be_visible()
-    curves = shown_values(page)
+    for _ in patiently():  # each curve is simulated when it is put on the scope
+        curves = shown_values(page)
+        if {name.partition(".")[0] for name in curves} >= {"pid", "chart"}:
+            break
     machine = Reference(as_written(), 0.004).machine()
     given, found = (next(values for name, values in curves.items() if name.startswith(one)) for one in ("pid", "chart"))
     expected = [machine.step({"u": u})["y"] for u in given]
