@@ -185,7 +185,7 @@ def test_up_serves_restarts_and_ends_its_page(tmp_path: Path) -> None:
             int(one) for one in Path(f"/proc/{up.process.pid}/task/{up.process.pid}/children").read_text().split()
         ]
         (server,) = [one for one in children if b"\0lab\0--port\0" in Path(f"/proc/{one}/cmdline").read_bytes()]
-        assert os.getpriority(os.PRIO_PROCESS, server) == min(19, os.getpriority(os.PRIO_PROCESS, 0) + 5)
+        assert os.getpriority(os.PRIO_PROCESS, server) == os.getpriority(os.PRIO_PROCESS, 0)  # as what flies
         os.kill(server, signal.SIGKILL)
         for _ in patiently():  # it comes back, with its links
             try:
