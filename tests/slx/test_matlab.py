@@ -49,7 +49,9 @@ def octave(code: str, shown: list[str], folder: Path) -> list[tuple[list[int], l
     script.write_text("\n".join(["1; warning('off', 'all');", code, *lines]), encoding="utf-8")
     toolchains.need("octave-cli")
     command = ["octave-cli", "--no-init-file", "--no-gui", "--quiet", str(script)]
-    answer = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False).stdout.splitlines()
+    answer = subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    ).stdout.splitlines()
     found: list[tuple[list[int], list[float]] | None] = []
     for line in answer[len(answer) - len(shown) :]:
         size, _, values = line.partition(":")
