@@ -29,6 +29,7 @@ from mavsdk_steps import DEADLINE_S, made, say, told, within
 THETA = 0.1  # rad, the set-point
 THRUST = 0.4
 NEAR = 0.03  # rad
+STILL = 0.02  # rad
 
 T = TypeVar("T")
 
@@ -65,8 +66,17 @@ async def look_around(system: System, name: str, value: float) -> None:
     say("set", name=name, value=await within(parameters.get_param_float(name)))
 
 
+async def at_rest(seen: TelemetryAsync) -> list[EulerAngle]:
+    """Twenty angles of a drone at rest: one that has just been flown swings for some seconds."""
+    while True:
+        row = await some(seen.subscribe_attitude_euler(), 20)
+        angles = [math.radians(one.pitch_deg) for one in row]
+        if max(angles) - min(angles) < STILL:
+            return row
+
+
 async def telemetry(seen: TelemetryAsync) -> None:
-    attitude = await some(seen.subscribe_attitude_euler(), 20)
+    attitude = await within(at_rest(seen))
     rates = await some(seen.subscribe_attitude_angular_velocity_body(), 5)
     position = await some(seen.subscribe_position_velocity_ned(), 5)
     battery = await some(seen.subscribe_battery(), 2)
