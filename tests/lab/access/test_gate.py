@@ -173,7 +173,8 @@ def test_a_request_that_is_too_large_is_refused_in_words(server: Served) -> None
         answer = server.ask("PUT", "/api/drones/77/setpoint", sent, headers, token=COMMAND)
         assert answer.status == 413, answer.content[:200]
         assert "larger than 262144 bytes" in answer.json["what"]
-    assert server.ask("PUT", "/api/drones/77/setpoint", b"{}", {"Content-Length": "x"}, token=COMMAND).status == 400
+    # Without a body: closed under bytes that nobody has read, the connection would be reset and the answer lost.
+    assert server.ask("PUT", "/api/drones/77/setpoint", b"", {"Content-Length": "x"}, token=COMMAND).status == 400
 
 
 @pytest.mark.parametrize(("token", "status"), [(WATCH, 403), ("not-a-token", 401)])
