@@ -3,7 +3,9 @@
 import gzip
 import json
 import os
+import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -195,6 +197,45 @@ def test_a_loop_is_broken_at_its_delay_and_goto_leads_to_from(tmp_path: Path) ->
     assert [line.path for line in found.report if line.status == "dropped"] == ["end"]
 
 
+def test_what_is_commented_is_cut_or_passed_and_what_hangs_in_the_air_is_said(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("Gain", "past", {"Gain": "9", "Commented": "through"}),
+        ("Gain", "cut", {"Gain": "9", "Commented": "on"}),
+        ("Sum", "sum", {"Inputs": "+++", "Ports": "[3, 1]"}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("u", "past"), ("u", "cut"), ("past", "sum:1"), ("cut", "sum:2"), ("sum", "y")]
+    found = import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT)
+    assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], DRAWN[0])
+    assert "nothing drives input 2, 3: it is 0" in [line.why for line in found.report]
+
+
+def test_another_period_than_the_blocks_have_is_refused(tmp_path: Path) -> None:
+    found = one_block(tmp_path, "ZeroOrderHold", {"SampleTime": "0.004"})
+    assert [line.why for line in found.refused] == [
+        "several periods are not translated: 0.004 s (block), 0.01 s (--dt)"
+    ]
+
+
+def test_the_time_of_an_import_grows_with_the_blocks(tmp_path: Path) -> None:
+    """900 blocks, the last one first in the file, take at most six times as long as 300: linear is three."""
+
+    def seconds(count: int) -> float:
+        chain = [("Gain" if k % 3 else "UnitDelay", f"g{k}", {"Gain": "1.01"}) for k in range(count)]
+        blocks = [("Inport", "u", {"OutDataTypeStr": "double"}), *reversed(chain), ("Outport", "y", {})]
+        names = ["u", *(name for _, name, _ in chain), "y"]
+        read = read_model(slx(model(blocks, list(pairwise(names))), tmp_path / "m.slx"))
+        times = []
+        for _ in range(3):
+            begin = time.process_time()
+            assert import_system(read, dt=DT).diagram is not None
+            times.append(time.process_time() - begin)
+        return min(times)
+
+    assert seconds(900) < 6.0 * seconds(300)
+
+
 def test_what_is_not_translated_is_refused_by_path_and_parameter_all_at_once(tmp_path: Path) -> None:
     blocks = [
         ("Inport", "u", {}),
@@ -355,15 +396,15 @@ def test_the_single_axis_simulator_of_a_course_imports_whole_and_flies() -> None
     found = import_system(read_model(Path(SAMPLES) / "Simulator_Single_Axis.slx"), "", names, [Path(SAMPLES)])
     assert found.diagram is not None, found.refused
     assert found.dt == 0.004
-    time = DT * 0.4 * np.arange(15_000)  # 60 s at 250 Hz
+    clock = DT * 0.4 * np.arange(15_000)  # 60 s at 250 Hz
     flight = (
         build(found.diagram, dt=found.dt, log=["Integrator2.y"])
         .machine()
-        .run(len(time), {"SetPoint": np.where(time > 5.0, 1.0, 0.0), "ExcitationM": np.zeros(len(time))})
+        .run(len(clock), {"SetPoint": np.where(clock > 5.0, 1.0, 0.0), "ExcitationM": np.zeros(len(clock))})
     )
     x = flight["Integrator2.y"]
-    assert np.abs(x[time < 5.0]).max() < 0.02  # it holds its place within its noise
-    assert np.abs(x[time > 15.0] - 1.0).max() < 0.02  # and goes to the set-point
+    assert np.abs(x[clock < 5.0]).max() < 0.02  # it holds its place within its noise
+    assert np.abs(x[clock > 15.0] - 1.0).max() < 0.02  # and goes to the set-point
     assert x.max() < 1.2
 
 

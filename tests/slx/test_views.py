@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 from tests.slx.files import parts, slx, written
 from twodof.cli.slx import slx as command
 from twodof.slx.difference import difference
-from twodof.slx.inspection import assigned, identifiers, inspect
+from twodof.slx.inspection import inspect
+from twodof.slx.matlab import assigned_names, names_in
 from twodof.slx.model import Model, Pin, read_model
 from twodof.slx.picture import pin_points, sheet_name, sheet_svg
 
@@ -56,8 +57,9 @@ def test_a_library_is_looked_for_and_its_mask_tells_names_from_choices(tmp_path:
 
 
 def test_names_and_assignments_of_matlab() -> None:
-    assert list(identifiers("[a' b.c(2) 'text' 1e3 zeros(2, n)] % e\n* sin(x)'")) == ["a", "b", "n", "x"]
-    assert assigned("a = 1; b.c = 2, [d, e] = f(3);\nx(2) = a == 4;") == {"a", "b", "d", "e", "x"}
+    assert names_in("[a' b.c(2) 'text' 1e3 zeros(2, n)] % e\n* sin(x)'") == ["a", "b", "zeros", "n", "sin", "x"]
+    code = "a = 1; b.c = 2, [d, e.f] = g(3);\nx(2) = a == 4; for k = 1:n, y = k; end"
+    assert assigned_names(code) == {"a", "b", "d", "e", "x", "k", "y"}
 
 
 def test_the_picture_shows_each_block_and_each_wire_meets_its_pins(model: Model) -> None:

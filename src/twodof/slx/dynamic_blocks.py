@@ -90,7 +90,7 @@ def _discrete_derivative(c: Asked) -> Made:
     d.add("UD", UnitDelay(c.scalar("ICPrevScaledInput", "0.0"), "real", c.width), u="scaled")
     d.add("difference", Sum("+-", "real", c.width), a="scaled", b="UD")
     d.output("y", "difference")
-    return same(c, d)  # type: ignore[arg-type]
+    return same(c, d)
 
 
 def _pid(c: Asked) -> Made:

@@ -6,9 +6,10 @@ report says for each block whether it was imported, approximated, dropped or ref
 """
 
 import re
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,15 @@ from twodof.blocks.library import Constant, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, INPUTS, RULES
 from twodof.slx.dynamic_blocks import STATEFUL
-from twodof.slx.inspection import OWN_LIBRARIES, SUFFIXES
+from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction, last_index
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
-from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, read_model
+from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, port_number, read_model
 from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded
 
+Output = tuple[str, str, int]
+"""An output of a block: path of its system, identifier and number."""
 _SINGLE = "single: computed in the precision of the build"
 _CONDITIONAL = ("EnablePort", "TriggerPort", "ActionPort", "ResetPort", "ForEach", "WhileIterator", "ForIterator")
 
@@ -71,6 +74,30 @@ def import_system(
     return _Import(model, path, dict(workspace or {}), folders, dt).run()
 
 
+class _Sheet:
+    """A system with what is asked of it again and again: what drives a pin, who has a port's number, or a tag."""
+
+    def __init__(self, system: System, names: dict[str, Value], owner: tuple[str, str] | None) -> None:
+        self.system, self.names, self.owner = system, names, owner
+        self.sources: dict[Pin, Pin] = {}
+        self.sinks: dict[Pin, list[Pin]] = {}
+        self.inputs: dict[str, int] = {}
+        for line in system.lines:
+            for pin in line.wire.sinks():
+                if pin.kind == "in":
+                    self.inputs[pin.sid] = max(self.inputs.get(pin.sid, 0), pin.number)
+                if line.source is not None:
+                    self.sources[pin] = line.source
+                    self.sinks.setdefault(line.source, []).append(pin)
+        self.ports: dict[tuple[str, int], str] = {}
+        self.tagged: dict[tuple[str, str], list[str]] = {}
+        for sid, block in system.blocks.items():
+            if block.type in ("Inport", "Outport"):
+                self.ports[block.type, port_number(block)] = sid
+            elif block.type in ("Goto", "From"):
+                self.tagged.setdefault((block.type, block.values.get("GotoTag", "A")), []).append(sid)
+
+
 class _Import:
     def __init__(
         self, model: Model, path: str, workspace: dict[str, Value], folders: Sequence[Path], dt: float | None
@@ -84,7 +111,8 @@ class _Import:
             for skipped in run(model.callbacks.get(callback, ""), names):
                 self.notes.append(f"{callback}, line {skipped.line}: {skipped.why}")
         self.names = {**names, **workspace}
-        self.systems: dict[str, tuple[System, dict[str, Value]]] = {}
+        self.sheets: dict[str, _Sheet] = {}
+        self.code = {collapsed(one.path): one.text for one in model.charts if one.function}
         self.blocks: dict[tuple[str, str], SimulinkBlock] = {}
         self.made: dict[tuple[str, str], Made] = {}
         self.signals: dict[tuple[str, str, int], Signal] = {}
@@ -93,11 +121,11 @@ class _Import:
 
     def run(self) -> Imported:
         system, names = _with_ports(self.model.system(self.path)), self._names_at(self.path)
-        self._collect(self.path, system, names, 0)
-        self.dt = self.given_dt or self._period()
+        self._collect(self.path, system, names, None)
+        self.dt = self._period()
         for key, block in self.blocks.items():
             if block.type in ("Inport", "InportShadow") and key[0] == self.path:
-                self._try(key, lambda block=block, key=key: self._inport(key, block))
+                self._try(key, partial(self._inport, key, block))
         self._infer()
         diagram = (
             None if any(line.status in ("refused", "not reached") for line in self.report) else self._diagram(self.path)
@@ -134,8 +162,10 @@ class _Import:
         run(block.mask.initialization, inner)
         return {**names, **inner}
 
-    def _collect(self, path: str, system: System, names: dict[str, Value], depth: int) -> None:
-        self.systems[path] = system, names
+    def _collect(
+        self, path: str, system: System, names: dict[str, Value], owner: tuple[str, str] | None, depth: int = 0
+    ) -> None:
+        self.sheets[path] = _Sheet(system, names, owner)
         if depth > 40:
             raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
         for sid, block in system.blocks.items():
@@ -154,7 +184,8 @@ class _Import:
                 self.report.append(ReportLine(at, block.kind, "refused", str(reason)))
                 continue
             if inner is not None:
-                self._collect(at, inner, self._inside(source, {**block.values, **block.instance}, names), depth + 1)
+                own = self._inside(source, {**block.values, **block.instance}, names)
+                self._collect(at, inner, own, (path, sid), depth + 1)
 
     def _body(self, block: SimulinkBlock, names: dict[str, Value]) -> tuple[System | None, SimulinkBlock]:
         """Return what is inside a block, and who has its mask: a link's library block, a variant's active choice."""
@@ -208,9 +239,8 @@ class _Import:
 
     def _library(self, name: str) -> Model | None:
         if name not in self.libraries:
-            safe = re.fullmatch(r"[A-Za-z]\w*", name)
-            places = [at for f in self.folders for end in SUFFIXES if safe and (at := f / f"{name}{end}").is_file()]
-            self.libraries[name] = read_model(places[0]) if places else None
+            file = library_file(name, self.folders)
+            self.libraries[name] = None if file is None else read_model(file)
         return self.libraries[name]
 
     def _period(self) -> float:
@@ -221,13 +251,15 @@ class _Import:
             if text in ("-1", "inf", "0", "[0, 0]", "[0 0]", "[-1, 0]", "") or block.type in DROPPED:
                 continue
             try:
-                values = number(evaluate(text, self.systems[path][1], "SampleTime"))
+                values = number(evaluate(text, self.sheets[path].names, "SampleTime"))
             except DiagramError as reason:
                 where = f"{path}/{escaped(block.name)}".lstrip("/")
                 self.report.append(ReportLine(where, block.kind, "refused", f"parameter SampleTime: {reason.what}"))
                 continue
             if values.size and 0 < float(values.flat[0]) < float("inf"):
                 found.setdefault(float(values.flat[0]), f"{path}/{escaped(block.name)}".lstrip("/"))
+        if self.given_dt is not None:
+            found.setdefault(self.given_dt, "--dt")
         if not found:
             step = self.model.solver.get("FixedStep", "auto")
             try:
@@ -245,23 +277,18 @@ class _Import:
 
     # --- the types of the signals
 
-    def _try(self, key: tuple[str, str], step: object) -> bool:
-        block = self.blocks[key]
-        path = f"{key[0]}/{escaped(block.name)}".lstrip("/")
+    def _try(self, key: tuple[str, str], step: Callable[[], None]) -> None:
+        """Take a step of the translation of a block; refuse the block where that fails."""
         try:
-            step()  # type: ignore[operator]
+            step()
         except (NotTranslated, NotComputed, DiagramError) as reason:
-            why = reason.what if isinstance(reason, DiagramError) else str(reason)
-            self.report.append(ReportLine(path, block.kind, "refused", why))
-            self.made[key] = Made(None, [])
-            return False
-        return True
+            self._refuse(key, reason.what if isinstance(reason, DiagramError) else str(reason))
 
     def _inport(self, key: tuple[str, str], block: SimulinkBlock) -> None:
         said = collapsed(block.values.get("OutDataTypeStr", "Inherit: auto"))
         if not said.startswith("Inherit") and said not in TYPES:
             raise NotTranslated(f"OutDataTypeStr = {said!r} is not translated")
-        size = evaluate(block.values.get("PortDimensions", "-1"), self.systems[key[0]][1], "PortDimensions")
+        size = evaluate(block.values.get("PortDimensions", "-1"), self.sheets[key[0]].names, "PortDimensions")
         elements = [int(n) for n in as_array(number(size)).flatten()]
         if len([n for n in elements if n > 1]) > 1:
             raise NotTranslated(f"PortDimensions = {block.values['PortDimensions']} is not translated")
@@ -276,11 +303,11 @@ class _Import:
 
     def _width_wanted(self, path: str, sid: str, depth: int) -> int:
         """Return how many elements the Demux, Selector or MATLAB Function behind a port wants; 1 where none says it."""
-        system, _ = self.systems[path]
-        sinks = [pin for line in system.lines if line.source == Pin(sid, "out", 1) for pin in line.wire.sinks()]
+        sheet = self.sheets[path]
+        sinks = sheet.sinks.get(Pin(sid, "out", 1), [])
         most = 1
         for pin in sinks if depth < 20 else ():
-            block = system.blocks[pin.sid]
+            block = sheet.system.blocks[pin.sid]
             inner = f"{path}/{escaped(block.name)}".lstrip("/")
             wanted = 1
             if block.type == "Demux":
@@ -290,137 +317,130 @@ class _Import:
                 said = block.values.get("InputPortWidth", "1")
                 wanted = int(said) if said.isdigit() else 1
             elif block.type == "Goto":
-                tag = block.values.get("GotoTag", "A")
-                froms = [
-                    s for s, b in system.blocks.items() if b.type == "From" and b.values.get("GotoTag", "A") == tag
-                ]
+                froms = sheet.tagged.get(("From", block.values.get("GotoTag", "A")), [])
                 wanted = max((self._width_wanted(path, one, depth + 1) for one in froms), default=1)
-            elif inner in self.systems and (port := self._port(inner, "Inport", pin.number)) is not None:
+            elif inner in self.sheets and (port := self.sheets[inner].ports.get(("Inport", pin.number))) is not None:
                 wanted = self._width_wanted(inner, port, depth + 1)
             elif block.kind == "MATLAB Function":
-                wanted = last_index(self._code(path, block), pin.number)
+                wanted = last_index(self.code.get(inner, ""), pin.number)
             most = max(most, wanted)
         return most
 
-    def _source(self, path: str, pin: Pin) -> tuple[str, str, int] | None:
-        """Return the block and output that drive an input: through Goto and From, up and down."""
+    def _source(self, path: str, pin: Pin) -> Output | None:
+        """Return the output that drives an input on its sheet, through Goto and From; None where nothing does."""
+        sheet = self.sheets[path]
         for _ in range(200):
-            system, _ = self.systems[path]
-            source = next((ln.source for ln in system.lines if ln.source and pin in set(ln.wire.sinks())), None)
-            if source is None or source.kind != "out":
+            source = sheet.sources.get(pin)
+            if source is None or source.kind != "out" or source.sid not in sheet.system.blocks:
                 return None
-            block = system.blocks.get(source.sid)
-            if block is None or block.commented:
-                return None
-            if block.type != "From":
+            block = sheet.system.blocks[source.sid]
+            if block.commented:
+                if block.values["Commented"] != "through":
+                    return None
+                pin = Pin(source.sid, "in", source.number)
+            elif block.type == "From":
+                tag = block.values.get("GotoTag", "A")
+                gotos = sheet.tagged.get(("Goto", tag), [])
+                if len(gotos) != 1:
+                    raise NotTranslated(f"{len(gotos)} Goto blocks have the tag {tag} in this system")
+                pin = Pin(gotos[0], "in", 1)
+            else:
                 return path, source.sid, source.number
-            tag = block.values.get("GotoTag", "A")
-            gotos = [
-                sid for sid, b in system.blocks.items() if b.type == "Goto" and b.values.get("GotoTag", "A") == tag
-            ]
-            if len(gotos) != 1:
-                raise NotTranslated(f"{len(gotos)} Goto blocks have the tag {tag} in this system")
-            pin = Pin(gotos[0], "in", 1)
         raise NotTranslated("From and Goto blocks lead in a circle")
 
-    def _known(self, source: tuple[str, str, int] | None) -> Signal | None:
-        """Return the type of a source; that of nothing is a scalar 0. None: not known yet."""
-        if source is None:
-            return Signal()
-        path, sid, output = source
-        block = self.blocks.get((path, sid))
-        if block is None:
-            return None
-        inner = f"{path}/{escaped(block.name)}".lstrip("/")
-        if inner in self.systems and self._is_system(block):
-            port = self._port(inner, "Outport", output)
-            return Signal() if port is None else self._known(self._source(inner, Pin(port, "in", 1)))
-        if block.type in ("Inport", "InportShadow") and path != self.path:
-            outer, _, name = path.rpartition("/") if "//" not in path else self._parent(path)
-            owner = next(s for s, b in self.systems[outer][0].blocks.items() if escaped(b.name) == name)
-            return self._known(self._source(outer, Pin(owner, "in", int(block.values.get("Port", "1")))))
-        return self.signals.get(source)
+    def _origin(self, path: str, pin: Pin) -> Output | None:
+        """Return the output of a block that drives an input, out of and into subsystems; None where nothing does."""
+        for _ in range(1000):
+            source = self._source(path, pin)
+            if source is None:
+                return None
+            path, sid, output = source
+            sheet = self.sheets[path]
+            block = sheet.system.blocks[sid]
+            inner = f"{path}/{escaped(block.name)}".lstrip("/")
+            if inner in self.sheets and self._is_system(block):
+                port = self.sheets[inner].ports.get(("Outport", output))
+                if port is None:
+                    return None
+                path, pin = inner, Pin(port, "in", 1)
+            elif block.type in ("Inport", "InportShadow") and sheet.owner is not None:
+                path, pin = sheet.owner[0], Pin(sheet.owner[1], "in", port_number(block))
+            else:
+                return source
+        raise NotTranslated("subsystems lead in a circle")
 
-    @staticmethod
-    def _parent(path: str) -> tuple[str, str, str]:
-        parts = re.split(r"(?<!/)/(?!/)", path)
-        return "/".join(parts[:-1]), "/", parts[-1]
+    def _type(self, path: str, pin: Pin) -> Signal | None:
+        """Return the type of what drives an input: of nothing a scalar 0; None where it is not known yet."""
+        origin = self._origin(path, pin)
+        return Signal() if origin is None else self.signals.get(origin)
 
     @staticmethod
     def _is_system(block: SimulinkBlock) -> bool:
         return block.type in ("SubSystem", "Reference") and block.kind not in (*RULES, "MATLAB Function")
 
-    def _port(self, path: str, kind: str, number: int) -> str | None:
-        ports = self.systems[path][0].blocks.items()
-        return next((s for s, b in ports if b.type == kind and b.values.get("Port", "1") == str(number)), None)
-
     def _infer(self) -> None:
-        waiting = {
-            k: b for k, b in self.blocks.items() if b.type not in ("Inport", "Outport", "InportShadow", "Goto", "From")
-        }
-        waiting = {k: b for k, b in waiting.items() if not self._is_system(b) and not b.commented}
-        count = {k: self._input_count(k, b) for k, b in waiting.items()}
+        """Translate each block when the types of its inputs are known, from the sources on."""
+        passing = ("Inport", "Outport", "InportShadow", "Goto", "From")
+        waiting: dict[tuple[str, str], set[Output]] = {}
+        behind: dict[Output, list[tuple[str, str]]] = {}
+        for key, block in self.blocks.items():
+            if block.type not in passing and not self._is_system(block) and not block.commented:
+                self._try(key, partial(self._await, key, waiting))
+        for key, origins in waiting.items():
+            for origin in origins:
+                behind.setdefault(origin, []).append(key)
+        ready = deque(key for key, origins in waiting.items() if not origins - self.signals.keys())
         while waiting:
-            ready = [k for k in waiting if self._translate(k, waiting[k], count[k], False)]
-            if not ready:  # a loop: it is broken at the first block whose output may be known before its input
-                ready = list(islice((k for k, b in waiting.items() if self._breaks(k, b, count[k])), 1))
-            if not ready:
-                for (path, _), block in waiting.items():
-                    where, status = f"{path}/{escaped(block.name)}".lstrip("/"), "not reached"
-                    self.report.append(ReportLine(where, block.kind, status, "the types of its inputs are not known"))
-                return
-            for key in ready:
-                del waiting[key]
+            while ready:
+                key = ready.popleft()
+                if waiting.pop(key, None) is None:
+                    continue
+                self._translate(key)
+                found = [(*key, k + 1) for k in range(len(self.made[key].outputs))]
+                follow = [one for output in found for one in behind.get(output, []) if one in waiting]
+                ready += [one for one in follow if not waiting[one] - self.signals.keys()]
+            # A loop is broken at the first block whose output may be known before its input.
+            loop = next((key for key in waiting if self.blocks[key].type in STATEFUL), None)
+            if loop is None:
+                break
+            ready.append(loop)
+        for path, sid in waiting:
+            why = "the types of its inputs are not known"
+            self._line(path, sid, "not reached", why)
 
-    def _breaks(self, key: tuple[str, str], block: SimulinkBlock, count: int) -> bool:
-        return block.type in STATEFUL and self._translate(key, block, count, True)
+    def _await(self, key: tuple[str, str], waiting: dict[tuple[str, str], set[Output]]) -> None:
+        found = {self._origin(key[0], pin) for pin in self._inputs(key)}
+        waiting[key] = {one for one in found if one is not None}
 
-    def _input_count(self, key: tuple[str, str], block: SimulinkBlock) -> int:
-        if block.ports is not None:
-            return block.ports[0]
-        used = [
-            p.number
-            for ln in self.systems[key[0]][0].lines
-            for p in ln.wire.sinks()
-            if p.sid == key[1] and p.kind == "in"
-        ]
-        return max(*used, INPUTS.get(block.type, 1)) if used else INPUTS.get(block.type, 1)
+    def _inputs(self, key: tuple[str, str]) -> list[Pin]:
+        block = self.blocks[key]
+        least = max(self.sheets[key[0]].inputs.get(key[1], 0), INPUTS.get(block.type, 1))
+        count = least if block.ports is None else block.ports[0]
+        return [Pin(key[1], "in", k + 1) for k in range(count)]
 
-    def _translate(self, key: tuple[str, str], block: SimulinkBlock, count: int, assume: bool) -> bool:
-        """Translate a block whose inputs are known, or assume a scalar; return whether it is done, refused or not."""
-        path, names = key[0], self.systems[key[0]][1]
-        rule = self._matlab_function(path, block) if block.kind == "MATLAB Function" else RULES.get(block.kind)
-        if rule is None:
-            self._refuse(key, f"the block type {block.kind} is not translated")
-            return True
-        try:
-            inputs = [self._known(self._source(path, Pin(key[1], "in", k + 1))) for k in range(count)]
-        except NotTranslated as reason:
-            self._refuse(key, str(reason))
-            return True
-        if any(one is None for one in inputs) and not assume:
-            return False
-        values = {**self.model.defaults.get(block.type, {}), **block.values, **block.instance}
-        asked = Asked(block, path, values, names, [one or Signal() for one in inputs], self.dt)
+    def _translate(self, key: tuple[str, str]) -> None:
+        """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
+        block, path = self.blocks[key], key[0]
+        rule = self._matlab_function(key) if block.kind == "MATLAB Function" else RULES.get(block.kind)
 
         def translate() -> None:
-            made = rule(asked)
-            self.made[key] = made
-            for k, signal in enumerate(made.outputs):
-                self.signals[*key, k + 1] = signal
+            if rule is None:
+                raise NotTranslated(f"the block type {block.kind} is not translated")
+            inputs = [self._type(path, pin) or Signal() for pin in self._inputs(key)]
+            values = {**self.model.defaults.get(block.type, {}), **block.values, **block.instance}
+            asked = Asked(block, path, values, self.sheets[path].names, inputs, self.dt)
+            made = self.made[key] = rule(asked)
+            self.signals.update({(*key, k + 1): signal for k, signal in enumerate(made.outputs)})
+            loose = [str(pin.number) for pin in self._inputs(key) if made.item and self._origin(path, pin) is None]
             notes = [*asked.notes, *([_SINGLE] if asked.text("OutDataTypeStr") == "single" else [])]
+            notes += [f"nothing drives input {', '.join(loose)}: it is 0"] if loose else []
             self.approximated.setdefault(key, []).extend(notes)
 
         self._try(key, translate)
-        return True
 
-    def _code(self, path: str, block: SimulinkBlock) -> str:
-        where = f"{path}/{escaped(block.name)}".lstrip("/")
-        return next((one.text for one in self.model.charts if one.function and collapsed(one.path) == where), "")
-
-    def _matlab_function(self, path: str, block: SimulinkBlock) -> Rule:
+    def _matlab_function(self, key: tuple[str, str]) -> Rule:
         """Return the rule of a MATLAB Function: its code stands with the charts, by its path."""
-        code = self._code(path, block)
+        code = self.code.get(f"{key[0]}/{escaped(self.blocks[key].name)}".lstrip("/"), "")
 
         def made(c: Asked) -> Made:
             if not code:
@@ -433,14 +453,17 @@ class _Import:
         return made
 
     def _refuse(self, key: tuple[str, str], why: str) -> None:
-        block = self.blocks[key]
-        self.report.append(ReportLine(f"{key[0]}/{escaped(block.name)}".lstrip("/"), block.kind, "refused", why))
+        self._line(*key, "refused", why)
         self.made[key] = Made(None, [])
+
+    def _line(self, path: str, sid: str, status: str, why: str) -> None:
+        block = self.blocks[path, sid]
+        self.report.append(ReportLine(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
 
     # --- the diagram
 
     def _diagram(self, path: str) -> Diagram:
-        system, _ = self.systems[path]
+        system = self.sheets[path].system
         title = re.split(r"(?<!/)/(?!/)", path)[-1] if path else self.model.name
         diagram = Diagram(_safe(title, set()), f"{self.model.name}/{path}".rstrip("/"))
         names: dict[str, str] = {}
@@ -451,7 +474,9 @@ class _Import:
         outports = [(sid, block) for sid, block in self._ordered(system) if block.type == "Outport"]
         for sid, block in self._ordered(system):
             if block.type == "Inport":
-                signal = self._known((path, sid, 1)) or Signal()
+                owner = self.sheets[path].owner
+                outer = None if owner is None else self._type(owner[0], Pin(owner[1], "in", port_number(block)))
+                signal = outer or self.signals.get((path, sid, 1)) or Signal()
                 diagram.input(names[sid], signal.kind, signal.width)
                 self._report(path, sid, "imported")
         for sid, block in system.blocks.items():
@@ -475,9 +500,8 @@ class _Import:
         """Yield the ports by number, then the other blocks, so that names are the ports' first."""
 
         def rank(item: tuple[str, SimulinkBlock]) -> tuple[int, int]:
-            said = item[1].values.get("Port", "1")
             kinds = {"Inport": 0, "Outport": 1}
-            return kinds.get(item[1].type, 2), int(said) if said.isdigit() and item[1].type in kinds else 0
+            return kinds.get(item[1].type, 2), port_number(item[1]) if item[1].type in kinds else 0
 
         return iter(sorted(system.blocks.items(), key=rank))
 
@@ -491,16 +515,15 @@ class _Import:
                 self._report(path, sid, "imported")
             return
         if self._is_system(block):
-            diagram.add(names[sid], self._diagram(inner), position=_position(block))
+            diagram.add(names[sid], self._diagram(inner), position=_corner(block))
             self._report(path, sid, "imported")
             return
         made = self.made[path, sid]
         if made.item is None:
             self._report(path, sid, "dropped", "it shows or keeps a signal and computes nothing")
             return
-        diagram.add(names[sid], made.item, position=_position(block))
-        notes = self.approximated.get((path, sid), [])
-        self._report(path, sid, "approximated" if notes else "imported", "; ".join(notes))
+        diagram.add(names[sid], made.item, position=_corner(block))
+        self._report(path, sid, "imported")
 
     def _wire(self, diagram: Diagram, path: str, sid: str, block: SimulinkBlock, names: Mapping[str, str]) -> None:
         name = names[sid]
@@ -512,10 +535,10 @@ class _Import:
         width = None
         if made.expand and made.item is not None and made.outputs and not isinstance(item, Diagram):
             width = next((port.width for port in item.inputs if port.width is not None), None)
-        for k, port in enumerate(made.ports or ports):
-            found = self._source(path, Pin(sid, "in", k + 1))
-            source = self._name(path, found, names, diagram)
-            signal = self._known(found) or Signal()
+        for k, port in enumerate(ports):
+            pin = Pin(sid, "in", k + 1)
+            source = self._name(path, self._source(path, pin), names, diagram)
+            signal = self._type(path, pin) or Signal()
             if made.expand and width is not None and signal.width is None:
                 source = expanded(diagram, source, signal, width)
             diagram.connect(source, f"{name}.{port}")
@@ -529,7 +552,7 @@ class _Import:
         _, sid, output = source
         block = self.blocks[path, sid]
         if block.type in ("Inport", "InportShadow"):
-            shown = self._port(path, "Inport", int(block.values.get("Port", "1")))
+            shown = self.sheets[path].ports.get(("Inport", port_number(block)))
             return names[shown or sid]
         item = diagram.parts[names[sid]].item
         if isinstance(item, LibraryBlock):
@@ -537,11 +560,10 @@ class _Import:
         return f"{names[sid]}.{list(item.outputs)[output - 1]}"
 
     def _report(self, path: str, sid: str, status: str, why: str = "") -> None:
-        block = self.blocks[path, sid]
         notes = self.approximated.get((path, sid), [])
         if notes and status == "imported":
             status, why = "approximated", "; ".join(notes)
-        self.report.append(ReportLine(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
+        self._line(path, sid, status, why)
 
 
 def _with_ports(system: System) -> System:
@@ -554,12 +576,12 @@ def _with_ports(system: System) -> System:
                 number += 1
                 values = {"Port": str(number), "Position": block.values.get("Position", "")}
                 blocks[sid] = SimulinkBlock(port, block.values.get("VariableName", "sim"), sid, values)
-    return System(blocks, system.lines, system.notes)
+    return System(blocks, system.lines)
 
 
-def _position(block: SimulinkBlock) -> tuple[float, float] | None:
-    numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", block.values.get("Position", ""))]
-    return (numbers[0], numbers[1]) if len(numbers) == 4 and max(map(abs, numbers)) < 1e6 else None
+def _corner(block: SimulinkBlock) -> tuple[float, float] | None:
+    place = block.place
+    return None if place is None else place[:2]
 
 
 def _safe(name: str, taken: set[str]) -> str:

@@ -5,36 +5,23 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.slx.model import Mask, Model, SimulinkBlock, System, collapsed, escaped, read_model
+from twodof.slx.matlab import assigned_names, names_in
+from twodof.slx.matlab_values import FUNCTIONS
+from twodof.slx.model import Mask, Model, SimulinkBlock, System, collapsed, escaped, port_number, read_model
 
 OWN_LIBRARIES = ("simulink", "slpidlib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")
 """Libraries that are Simulink's own: their blocks stand for code and are in no file of the user's."""
 SUFFIXES = (".slx", ".mdl")
 
 _Names = dict[str, list[str]]
-# Functions, constants and words of MATLAB that an expression may hold: none of them is a variable of the user's.
-_WORDS = """
-    abs acos all any asin atan atan2 blkdiag boolean break case cat ceil class cos cosh cross cumsum deg2rad det
-    diag disp diff dot double else elseif end exp eye false find fix floor for function get_param gcb gcbh gcs global
-    if inf Inf int16 int32 int64 int8 interp1 inv isempty isfield isnan kron length linspace log log10 log2 logical max
-    mean min mod nan NaN ndims norm not numel ones otherwise persistent pi pinv poly polyfit polyval pow power prod
-    rad2deg rand randn real realmax realmin rem repmat reshape return round set_param sign sin single sinh size sort
-    sqrt squeeze std struct sum switch tan tanh transpose trapz trace true uint16 uint32 uint64 uint8 ufix sfix fixdt
-    var while xor zeros bitand bitor bitxor bitshift bitcmp eps i j e Simulink Bus Enum numerictype auto inherit
-    Inherit off on
-"""
-_MATLAB = frozenset(_WORDS.split())
-_TOKEN = re.compile(
-    r"""'(?:[^'\n]|'')*'|"(?:[^"\n]|"")*"   # text
-      |%[^\n]*                              # a comment
-      |(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)'*
-      |[\d.]+(?:[eE][+-]?\d+)?'*|[)\]}]'*|.""",
-    re.VERBOSE | re.DOTALL,
-)
+# What MATLAB has beside the functions that are computed here: none of it is a variable of the user's.
+_MORE = """break case class else elseif end eval for function get_param gcb gcbh gcs global if interp1 isnan otherwise
+persistent poly polyfit rand randn return set_param sort squeeze std switch trapz var while Simulink fixdt i j"""
+_MATLAB = frozenset([*FUNCTIONS, *_MORE.split()])
 
 # The parameters that hold a value to be computed; all others are choices, texts or looks.
 VALUES: dict[str, tuple[str, ...]] = {
@@ -138,11 +125,7 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
 def ports(system: System, kind: str) -> list[str]:
     """Return the names of the Inports or Outports of a system by their number."""
     found = [one for one in system.blocks.values() if one.type == kind]
-    return [collapsed(one.name) for one in sorted(found, key=lambda one: _number(one.values.get("Port", "1")))]
-
-
-def _number(text: str) -> int:
-    return int(text) if text.isdigit() else 0
+    return [collapsed(one.name) for one in sorted(found, key=port_number)]
 
 
 def sample_time(block: SimulinkBlock) -> str:
@@ -156,24 +139,13 @@ def sample_time(block: SimulinkBlock) -> str:
 
 def _library(name: str, count: int, folders: Iterable[Path]) -> Library:
     own = name in OWN_LIBRARIES
-    candidates = [] if own or not re.fullmatch(r"[A-Za-z]\w*", name) else folders
-    file = next((at for one in candidates for end in SUFFIXES if (at := one / f"{name}{end}").is_file()), None)
-    return Library(name or "(none)", count, file, own)
+    return Library(name or "(none)", count, None if own else library_file(name, folders), own)
 
 
-def identifiers(expression: str) -> Iterator[str]:
-    """Yield the names in a MATLAB expression, without those of MATLAB; of `p.gains.Kp` the first."""
-    for found in _TOKEN.finditer(expression):
-        name = (found["name"] or "").partition(".")[0]
-        if name and name not in _MATLAB:
-            yield name
-
-
-def assigned(code: str) -> set[str]:
-    """Return the names that a script gives a value."""
-    found = re.findall(r"(?:^|[;\n,])\s*([A-Za-z]\w*)(?:\.\w+|\([^()\n]*\))*\s*=(?!=)", code)
-    several = re.findall(r"(?:^|[;\n,])\s*\[([^\]\n]*)\]\s*=(?!=)", code)
-    return {*found, *(name for group in several for name in re.findall(r"[A-Za-z]\w*", group))}
+def library_file(name: str, folders: Iterable[Path]) -> Path | None:
+    """Return the file of a user's library in these folders; None where it is not there."""
+    candidates = folders if re.fullmatch(r"[A-Za-z]\w*", name) else ()
+    return next((at for one in candidates for end in SUFFIXES if (at := one / f"{name}{end}").is_file()), None)
 
 
 def unresolved(model: Model, libraries: Iterable[Model] = ()) -> dict[str, tuple[str, ...]]:
@@ -184,7 +156,7 @@ def unresolved(model: Model, libraries: Iterable[Model] = ()) -> dict[str, tuple
     """
     masks = {f"{one.name}/{path}": block.mask for one in libraries for path, block in one.blocks() if block.mask}
     found: dict[str, list[str]] = {}
-    known = {name for code in model.callbacks.values() for name in assigned(code)}
+    known = {name for code in model.callbacks.values() for name in assigned_names(code)}
     _unresolved(model.root, "", known, masks, found)
     return {name: tuple(paths[:3]) for name, paths in sorted(found.items())}
 
@@ -199,8 +171,8 @@ def _unresolved(system: System, path: str, known: set[str], masks: Mapping[str, 
         values = [given.get(key, "") for key in (*VALUES.get(block.kind, ()), "SampleTime")]
         if mask is not None:
             values += [given.get(key, text) for key, text in mask.computed.items()]
-        for name in {name for value in values for name in identifiers(value)} - known:
+        for name in {name for value in values for name in names_in(value)} - known - _MATLAB:
             found.setdefault(name, []).append(at)
         if block.system is not None:
-            inner = known if mask is None else known | set(mask.parameters) | assigned(mask.initialization)
+            inner = known if mask is None else known | set(mask.parameters) | assigned_names(mask.initialization)
             _unresolved(block.system, at, inner, masks, found)

@@ -14,7 +14,6 @@ import math
 import re
 from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +55,7 @@ _QUOTED = re.compile(r"'((?:[^'\n]|'')*)'")
 _BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
 _BINARY = (("||",), ("&&",), ("|",), ("&",), ("<", "<=", ">", ">=", "==", "~=", "!="), (":",), ("+", "-"))
 _PRODUCTS = ("*", "/", "\\", ".*", "./", ".\\")
+_KEYWORDS = {"if", "elseif", "else", "for", "parfor", "while", "switch", "case", "try", "catch", "function", "end"}
 _SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold"}
 """Statements that change no value: skipped without a word."""
 
@@ -220,11 +220,41 @@ def _next_statement(tokens: list[_Token], at: int) -> int:
 
 
 def _assigned(tokens: list[_Token]) -> set[str]:
-    names = set()
-    for this, following in pairwise(tokens):
-        if this.kind == "name" and following.text in ("=", ",", "]", ".", "("):
-            names.add(this.text)
-    return names if any(t.text == "=" and t.kind == "operator" for t in tokens) else set()
+    """Return the names that statements give a value: those left of each `=`, in `[a, b] = ...` several."""
+    names: set[str] = set()
+    start = depth = 0
+    for at, token in enumerate(tokens):
+        operator = token.text if token.kind == "operator" else ""
+        depth += (operator in ("(", "[", "{")) - (operator in (")", "]", "}"))
+        if depth == 0 and (token.kind == "line" or operator in (";", ",") or token.text in _KEYWORDS):
+            start = at + 1
+        elif depth == 0 and operator == "=":
+            target = tokens[start:at]
+            several = bool(target) and target[0].text == "["
+            before = [None, *target[:-1]]
+            found = [
+                t.text for t, b in zip(target, before, strict=True) if t.kind == "name" and (not b or b.text != ".")
+            ]
+            names.update(found if several else found[:1])
+    return names
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names in an expression, of `p.gains.Kp` the first; none where it cannot be read."""
+    try:
+        tokens = _tokens(text)
+    except NotComputed:
+        return []
+    pairs = zip(tokens, [None, *tokens], strict=False)
+    return [t.text for t, before in pairs if t.kind == "name" and (before is None or before.text != ".")]
+
+
+def assigned_names(code: str) -> set[str]:
+    """Return the names that a script gives a value; none where it cannot be read."""
+    try:
+        return _assigned(_tokens(code))
+    except NotComputed:
+        return set()
 
 
 @dataclass

@@ -102,14 +102,22 @@ class SimulinkBlock:
         """Whether it is commented out, or through."""
         return self.values.get("Commented", "off") != "off"
 
+    @property
+    def place(self) -> tuple[float, float, float, float] | None:
+        """Left, top, right and bottom on its sheet; None where the file does not say."""
+        numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", self.values.get("Position", ""))]
+        if len(numbers) != 4 or max(map(abs, numbers)) >= 1e6:
+            return None
+        a, b, c, d = numbers
+        return min(a, c), min(b, d), max(a, c), max(b, d)
+
 
 @dataclass
 class System:
-    """A sheet: its blocks by identifier, its lines and notes."""
+    """A sheet: its blocks by identifier, and its lines."""
 
     blocks: dict[str, SimulinkBlock]
     lines: list[Line]
-    notes: list[str]
 
     def walk(self, path: str = "") -> Iterator[tuple[str, "System"]]:
         """Yield this system and all below it with their paths, `Controller/PID`, in the order of the file."""
@@ -142,7 +150,6 @@ class Model:
     """Parameters that the file gives to all blocks of a type."""
     root: System
     charts: list[SimulinkChart]
-    parts: list[str]
 
     def blocks(self) -> Iterator[tuple[str, SimulinkBlock]]:
         """Yield each block with its path from the model's top."""
@@ -158,6 +165,12 @@ class Model:
             known = ", ".join(list(found)[1:9]) or "none"
             raise DiagramError(f"has no subsystem {path}", self.name, f"its first ones are: {known}")
         return found[wanted]
+
+
+def port_number(block: SimulinkBlock) -> int:
+    """Return the number of an Inport or Outport."""
+    said = block.values.get("Port", "1")
+    return int(said) if said.isdigit() else 1
 
 
 def collapsed(name: str) -> str:
@@ -187,7 +200,7 @@ def read_model(path: str | Path) -> Model:
 def _system(plain: Mapping[str, Any]) -> System:
     blocks = {one["sid"]: _block(one) for one in plain["blocks"]}
     lines = [Line(name, Pin.parse(source) if source else None, _wire(wire)) for name, source, wire in plain["lines"]]
-    return System(blocks, lines, plain["notes"])
+    return System(blocks, lines)
 
 
 def _block(plain: dict[str, Any]) -> SimulinkBlock:

@@ -27,7 +27,6 @@ class Package:
 
     def __init__(self, data: bytes, where: str) -> None:
         self.where = where
-        self.release = ""
         self._zip: zipfile.ZipFile | None = None
         self._texts: dict[str, str] = {}
         self._braces: Element | None = None

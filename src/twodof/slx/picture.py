@@ -272,10 +272,8 @@ def _unnamed(block: SimulinkBlock) -> bool:
 
 def _box(block: SimulinkBlock, index: int) -> Rectangle:
     """Return left, top, right and bottom; a block without a place stands in a grid."""
-    numbers = [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", block.values.get("Position", ""))]
-    if len(numbers) == 4 and max(map(abs, numbers)) < 1e6:
-        left, top, right, bottom = numbers
-        return min(left, right), min(top, bottom), max(left, right), max(top, bottom)
+    if block.place is not None:
+        return block.place
     row, column = divmod(index, 8)
     return 100.0 * column, 70.0 * row, 100.0 * column + 60.0, 70.0 * row + 34.0
 

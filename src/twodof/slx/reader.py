@@ -34,7 +34,6 @@ def plain_model(data: bytes, where: str) -> Answer:
         "defaults": content.defaults(top),
         "root": content.system(root, 0),
         "charts": list(content.charts(top)),
-        "parts": [name for name in package.names if name.startswith("simulink/")][:1000],
     }
     return model, []
 
@@ -92,8 +91,7 @@ class PackageReader:
             for one in element.iterfind("Line")
             if _value(one, "LineType") != "Connection" and "conn:" not in _value(one, "Src")
         ]
-        notes = [_value(one, "Name") or one.get("Name", "") for one in element.iterfind("Annotation")]
-        return {"blocks": blocks, "lines": lines, "notes": [one for one in notes if one]}
+        return {"blocks": blocks, "lines": lines}
 
     def block(self, element: Element, depth: int) -> dict[str, Any]:
         """Return a block with its mask and system."""

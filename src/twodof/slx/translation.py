@@ -1,6 +1,6 @@
 """Translation of one Simulink block: what is asked, what it became, and the types of its signals."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -101,8 +101,6 @@ class Made:
 
     item: Item | None
     outputs: list[Signal]
-    ports: Sequence[str] | None = None
-    """The names of the inputs in Simulink's order; None: those of the item."""
     expand: bool = True
     """Whether a scalar at an input is expanded to the others' width."""
 
@@ -110,7 +108,7 @@ class Made:
 Rule = Callable[[Asked], Made]
 
 
-def same(c: Asked, item: LibraryBlock, kind: str = "real") -> Made:
+def same(c: Asked, item: Item, kind: str = "real") -> Made:
     """Return a block with one output, as wide as its inputs."""
     return Made(item, [Signal(kind, c.width)])
 
