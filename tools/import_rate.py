@@ -1,0 +1,148 @@
+"""How many public Simulink models `twodof slx import` takes: imported, compiled and run for 1,000 steps.
+
+`python -m tools.import_rate REPOSITORY...` takes folders with models, one a repository, and looks for libraries in all
+folders of the repository. Names that no callback of a model gives are looked for in nothing: they are 1, as most
+repositories set them by hand. A model with the same bytes counts once, a library not at all. A part is missing where a
+library, a model or a block of another vendor is not in the repository: its rate is shown apart. `--why` counts the
+reasons of refusals, in models without missing parts, and how often one is a model's only one.
+"""
+
+import argparse
+import hashlib
+import multiprocessing
+import re
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from twodof.compile import build
+from twodof.errors import DiagramError, TwodofError
+from twodof.slx.importer import Imported, import_system
+from twodof.slx.inspection import inspect
+from twodof.slx.matlab_values import Value
+from twodof.slx.model import Model, read_model
+
+MISSING = re.compile(r"is not found|cannot be found")
+STEPS = 1000
+PERIOD = 0.01
+"""Where a model says no period [s]."""
+
+
+@dataclass
+class Tried:
+    """A model that was tried: whether it has a chart part, what it is refused for (nothing: it ran)."""
+
+    path: Path
+    chart: bool = False
+    blocks: int = 0
+    reasons: dict[str, str] = field(default_factory=dict)
+    """The first block of each reason."""
+
+    @property
+    def missing(self) -> bool:
+        """Whether a part of it is not in the repository."""
+        return any(map(MISSING.search, self.reasons))
+
+
+def tried(path: Path, folders: list[Path]) -> Tried | None:
+    """Import, compile and run a model. None for a library and for what is no model."""
+    try:
+        model = read_model(path)
+    except TwodofError as reason:
+        return Tried(path, reasons={f"not read: {reason}": ""})
+    if model.kind != "model":
+        return None
+    found = Tried(path, bool(model.charts), sum(1 for _ in model.blocks()))
+    names: dict[str, Value] = {name: np.array([[1.0]]) for name in inspect(model, folders).names}
+    try:
+        imported = _imported(model, names, [path.parent, *folders])
+        if imported.diagram is None and not imported.refused:
+            raise TwodofError("nothing is refused, and there is no diagram", str(path), "mend the importer")
+        for line in imported.refused:
+            found.reasons.setdefault(f"{line.kind}: {line.why}", line.path)
+        if imported.diagram is not None:
+            machine = build(imported.diagram, dt=imported.dt).machine()
+            machine.run(STEPS, dict.fromkeys(imported.diagram.inputs, 0))
+    except TwodofError as reason:
+        found.reasons[f"{type(reason).__name__}: {reason.what}"] = ""
+    except Exception as reason:  # noqa: BLE001  a fault of the importer counts as a refusal, and is shown
+        found.reasons[f"FAULT {type(reason).__name__}: {reason}"[:150]] = ""
+    return found
+
+
+def _imported(model: Model, names: dict[str, Value], folders: list[Path]) -> Imported:
+    try:
+        return import_system(model, "", names, folders)
+    except DiagramError as reason:
+        if "says the period" not in reason.what:
+            raise
+        return import_system(model, "", names, folders, PERIOD)
+
+
+def models(repository: Path) -> list[tuple[Path, list[Path]]]:
+    """Return the models of a repository, each content once, with the folders of all its files."""
+    files = sorted(one for one in repository.rglob("*.slx") if one.is_file())
+    files += sorted(one for one in repository.rglob("*.mdl") if one.is_file())
+    folders = sorted({one.parent for one in files})
+    once = {hashlib.sha256(one.read_bytes()).digest(): one for one in reversed(files)}
+    return [(one, folders) for one in sorted(once.values())]
+
+
+def _short(reason: str) -> str:
+    return re.sub(r"(parameter \w+: ).*", r"\1...", re.sub(r"[\d.]{2,}|\d", "N", reason))[:110]
+
+
+def say(line: str) -> None:
+    """Print a line at once."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Print a row for each repository, the sums, and reasons if wished."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("repository", nargs="+", type=Path)
+    parser.add_argument("--why", action="store_true", help="count the reasons of refusals")
+    parser.add_argument("--list", action="store_true", help="print each model with its reasons")
+    parser.add_argument("--processes", type=int, default=1)
+    asked = parser.parse_args()
+    total: list[Tried] = []
+    say("repository, commit: models, imported; of those without missing parts: plain, with a chart part")
+    with multiprocessing.Pool(asked.processes) as pool:
+        for repository in asked.repository:
+            found = [one for one in pool.starmap(tried, models(repository), chunksize=1) if one is not None]
+            total += found
+            commit = subprocess.run(
+                ["git", "-C", str(repository), "rev-parse", "--short", "HEAD"],
+                capture_output=True,
+                text=True,
+                check=False,
+            ).stdout.strip()
+            say(f"{repository.name}, {commit or '-'}: {_rates(found)}")
+            for one in found if asked.list else ():
+                reasons = "; ".join(f"{why[:90]} ({at})" for why, at in list(one.reasons.items())[:8])
+                say(f"  {one.path.relative_to(repository)}: {reasons or 'runs'}")
+    say(f"all: {_rates(total)}")
+    if asked.why:
+        shorts = [{_short(why) for why in one.reasons} for one in total if not one.missing]
+        counts = Counter(why for one in shorts for why in one)
+        only = Counter(why for one in shorts if len(one) == 1 for why in one)
+        for why, count in counts.most_common(60):
+            say(f"{count:5d} {only[why]:4d} {why}")
+
+
+def _rates(found: list[Tried]) -> str:
+    def rate(among: list[Tried]) -> str:
+        return f"{sum(not one.reasons for one in among)} of {len(among)}"
+
+    whole = [one for one in found if not one.missing]
+    plain, chart = [one for one in whole if not one.chart], [one for one in whole if one.chart]
+    return f"{rate(found)}; {rate(plain)}, {rate(chart)}"
+
+
+if __name__ == "__main__":
+    main()
