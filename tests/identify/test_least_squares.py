@@ -39,6 +39,21 @@ def test_bounded_minimum_is_that_of_scipy(upper: list[float]) -> None:
     assert (found.at_bound == (found.x == high)).all()
 
 
+@pytest.mark.parametrize(("bend", "most"), [(-0.5, 5), (0.9, 30)])
+def test_large_residuals_that_bend_take_few_steps(bend: float, most: int) -> None:
+    # Near the minimum, x = 0, Gauss-Newton steps are 1.5 and .1 times as long as they should be: 20 and 84 of them.
+    def residual(x: Array) -> Array:
+        return np.array([x[0] + 1.0, bend * x[0] ** 2 + x[0] - 1.0])
+
+    def jacobian(x: Array, _: Array) -> Array:
+        return np.array([[1.0], [2.0 * bend * x[0] + 1.0]])
+
+    found = minimise(residual, jacobian, np.array([0.3]), -FREE[:1], FREE[:1], tolerance=1e-12)
+    assert found.converged
+    assert found.iterations <= most
+    assert abs(found.x[0]) < 1e-4
+
+
 def test_a_step_cut_by_a_bound_still_descends() -> None:
     # The full step crosses the bound of x0 and, cut there, would go uphill: the others must be solved for again.
     rng = np.random.default_rng(0)

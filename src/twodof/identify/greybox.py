@@ -56,6 +56,8 @@ _ALIKE = 1.05
 """Residual of an offset over that of the best one, up to which both are named."""
 _TRIES = 20
 """Steps of the search that tries a suggestion."""
+_FINE, _ROUGH = 1e-10, 1e-6
+"""Relative decrease that ends a search, and one under weights that are still to change."""
 _TURN = {"rad": 2.0 * math.pi, "rad/s": 35.0}
 """A full turn, and the full scale of usual gyros, 2000 deg/s: no experiment comes there."""
 _UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
@@ -269,6 +271,8 @@ def _predicted(
             continue
         sizes = np.array([block.rows.stop - block.rows.start for block in own.blocks])
         tried.append((float(sizes @ np.log(own.sigma)), own, minimum))
+        if passes(own, own.residual(minimum.x)):
+            break  # white prediction errors leave nothing to other gains
     if not tried:
         return None
     _, own, minimum = min(tried, key=lambda one: one[0])
@@ -474,9 +478,11 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
     """Minimise; with several noises unknown re-weight by the residuals until the weights stand still."""
     fixed = problem.set_noise(noise)
     open_ = [blocks for noise_of in problem.noises if (blocks := [k for k in noise_of if k not in fixed])]
-    x = problem.x0
+    # One weight alone does not move the minimum; of several, a per cent is far below what their estimated spread is
+    # worth.
+    x, still = problem.x0, len(problem.blocks) == 1 and not problem.known
     for _ in range(20):
-        minimum = problem.minimise(x)
+        minimum = problem.minimise(x, tolerance=_FINE if still else _ROUGH)
         x = minimum.x
         if not math.isfinite(minimum.cost):
             raise problem.structure.error(
@@ -485,10 +491,9 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
                 "choose other first guesses, or a smaller step (substeps)",
             )
         change = _reweight(problem, minimum.residual, open_)
-        # One weight alone does not move the minimum; of several, a per cent is far below what their estimated
-        # spread is worth.
-        if change < 0.01 or (len(problem.blocks) == 1 and not problem.known):
+        if still:
             break
+        still = change < 0.01
     return minimum
 
 

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 Residual = Callable[[Array], Array]
 Jacobian = Callable[[Array, Array], Array]
 
+_OFF = 0.2
+"""Share by which a step must be too long or too short to be tried again with another length."""
+
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresMinimum:
@@ -43,8 +46,10 @@ def minimise(
     """Minimise |residual(x)|^2 / 2 for lower <= x <= upper, from `x0` (clipped into the bounds).
 
     Damping after Nielsen (1999) with More's (1978) column scaling; an unknown at a bound that the gradient pushes
-    outwards is held there. It ends when the next step promises a relative decrease below `tolerance`, when the steps
-    have become too small to change x, or after `iterations`. `converged` says that a further Gauss-Newton step would
+    outwards is held there. Where residuals are large and bend, Gauss-Newton steps are up to twice too long, and the
+    search would swing about the minimum for tens of steps: a parabola mends their length. It ends when the next step
+    promises a relative decrease below `tolerance`, when the steps have become too small to change x, or after
+    `iterations`. `converged` says that a further Gauss-Newton step would
     move the estimate by less than a twentieth of its standard deviation, however the search ended. A residual that is
     not finite at `x0` is returned as it is, not converged; so is the best x so far whose Jacobian is not finite.
     """
@@ -78,6 +83,14 @@ def minimise(
             r_trial = residual(trial)
             cost_trial = 0.5 * float(r_trial @ r_trial)
             gain = (cost - cost_trial) / promised if promised > 0.0 else -1.0
+            share = _parabola(float(gradient @ step), cost_trial - cost)
+            if abs(share - 1.0) > _OFF:
+                nearer = np.minimum(np.maximum(x + share * step, lower), upper)
+                r_nearer = residual(nearer)
+                cost_nearer = 0.5 * float(r_nearer @ r_nearer)
+                if cost_nearer < min(cost_trial, cost):
+                    trial, r_trial, cost_trial = nearer, r_nearer, cost_nearer
+                    gain = max(gain, 0.5)
             if gain > 1e-4:
                 x, r, cost = trial, r_trial, cost_trial
                 damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
@@ -88,6 +101,12 @@ def minimise(
     jac = jacobian(x, r)
     free = np.flatnonzero(~held)
     return LeastSquaresMinimum(x, r, cost, iterations, _converged(r, cost, jac.T @ r, jac.T @ jac, free), held)
+
+
+def _parabola(slope: float, change: float) -> float:
+    """Return where the parabola of this `slope` at 0 that has changed by `change` at 1 is least, within .1 to 4."""
+    bend = change - slope
+    return min(max(-slope / (2.0 * bend), 0.1), 4.0) if bend > 0.0 else 1.0
 
 
 def _bounded_step(

@@ -1,5 +1,6 @@
 """Ready-made fits of the paper's experiments: structures by name, priors, and values held from earlier flights."""
 
+import functools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -299,6 +300,7 @@ def experiment_in(log: FlightLog) -> str:
     return name
 
 
+@functools.lru_cache(maxsize=64)  # the same structure again has its program compiled
 def structure_for(experiment: str, name: str = AUTO) -> Structure:
     """Return the structure `name` of `STRUCTURES`, or with `AUTO` the paper's for an experiment of `KINDS`.
 

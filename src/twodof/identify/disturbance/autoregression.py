@@ -80,10 +80,10 @@ class Autoregression:
     @cached_property
     def _beginning(self) -> Array:
         """Return the matrix (n, n) that whitens the first n samples of a piece, each by those before it."""
-        found = np.zeros((self.order, self.order))
-        for k, (predictor, deviation) in enumerate(zip(self.predictors[:-1], self.deviations[:-1], strict=True)):
-            found[k, : k + 1] = predictor[::-1] / deviation
-        return found
+        found, n = np.zeros((self.order, self.order)), self.order
+        if n:
+            found[np.tril_indices(n)] = np.concatenate([one[::-1] for one in self.predictors[:-1]])
+        return found / self.deviations[:-1, None]
 
     def colour(self, rows: Array) -> Array:
         """`rows` (samples, columns) through the transpose of the filter that makes this noise of white noise.

@@ -27,6 +27,8 @@ USUAL_S, FACTOR = 0.15, 2.0
 its logarithm), as gusts and the rotors' own wake have it; the data say the rest."""
 
 _IMPOSSIBLE = 1e10
+_DIFFERENCE = 1e-5
+"""Step of the derivatives of the likelihood: a smaller one finds its rounding, and the search ends too early."""
 _ORDER = 40
 _RESPONSE = 400
 _LINEAR = 1e-6
@@ -89,18 +91,19 @@ class PushModel:
             return _IMPOSSIBLE
         white = model.whiten(self._both, self.pieces)
         gram = white.T @ white + self._before
-        normal, last = gram[:-1, :-1], gram[:-1, -1]
-        sign, log_determinant = np.linalg.slogdet(normal)
-        if not (sign > 0.0 and np.isfinite(gram).all()):
+        try:
+            factor = np.diag(np.linalg.cholesky(gram))
+        except np.linalg.LinAlgError:
             return _IMPOSSIBLE
-        left = float(gram[-1, -1] - last @ np.linalg.lstsq(normal, last, rcond=1e-12)[0])
-        return float(model.log_deviations(self.pieces)) + 0.5 * (float(log_determinant) + left) + self.prior(theta)
+        # The last entry of the factor is what the unknowns leave of the residual.
+        left = 0.5 * float(factor[-1]) ** 2 + float(np.log(factor[:-1]).sum())
+        return float(model.log_deviations(self.pieces)) + left + self.prior(theta)
 
     def improve(self, iterations: int) -> Any:
         """Take the most likely `theta`, searched for from the present one; the noise that it means."""
         from scipy.optimize import minimize  # imported late: most commands start without it
 
-        options = {"maxiter": iterations, "ftol": 3e-6}
+        options = {"maxiter": iterations, "ftol": 3e-6, "eps": _DIFFERENCE}
         self.theta = minimize(self.cost, self.theta, method="L-BFGS-B", bounds=self.bounds, options=options).x
         return self.noise(self.theta)
 

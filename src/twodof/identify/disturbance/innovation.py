@@ -20,7 +20,7 @@ from twodof.models.structure import Structure
 
 Array = NDArray[np.float64]
 
-_RATIOS = (1e-2, 1.0, 1e2)
+_RATIOS = (1.0, 1e-2, 1e2)
 """Variance of the push at the inputs over that of the input itself, with which the first gains are computed."""
 
 

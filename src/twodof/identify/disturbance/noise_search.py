@@ -1,6 +1,7 @@
 """Which noise model a fit takes, and the estimate under it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -276,11 +277,13 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
 
     The swing that the noise has is that of the poles' prior. What the estimates would be with another one is a doubt.
     """
-    found, cost = _coloured_by(ColouredProblem(problem), problem, minimum, answering)
+    found, cost = _coloured_by(ColouredProblem(problem), problem, (minimum.x, problem.x0), minimum, answering)
     swing = swing_of(problem) if answering else None
     if swing is None:
         return found
-    pushed, pushed_cost = _coloured_by(ColouredProblem(problem, swing=swing), problem, found.minimum, answering)
+    pushed, pushed_cost = _coloured_by(
+        ColouredProblem(problem, swing=swing), problem, (found.minimum.x,), found.minimum, answering
+    )
     if not pushed_cost < cost:
         return found
     jacobian = pushed.jacobian
@@ -292,11 +295,15 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
 
 
 def _coloured_by(
-    coloured: ColouredProblem, problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[str, ...]
+    coloured: ColouredProblem,
+    problem: Problem,
+    starts: Sequence[Array],
+    minimum: LeastSquaresMinimum,
+    answering: tuple[str, ...],
 ) -> tuple[Disturbed, float]:
     """Search under the noise of `coloured`; return what was found and its cost, -2 log likelihood with its penalty."""
     # The output error's optimum may be far off in closed loop, the first guess in open loop.
-    found = [coloured.minimise(start) for start in (minimum.x, problem.x0)]
+    found = [coloured.minimise(start) for start in starts]
     # In open loop the noise may not swallow the response: a swing that dies out is also an autoregression's.
     right = [math.isfinite(one.cost) and bool(answering or not _far_worse(problem, one.x, minimum.x)) for one in found]
     usable = right if any(right) else [math.isfinite(one.cost) for one in found]
