@@ -20,6 +20,7 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.cli.slx import slx as command
 from twodof.compile import build
+from twodof.errors import DiagramError
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
 from twodof.slx.matlab import read_workspace, run
@@ -423,3 +424,41 @@ def test_the_sample_controllers_import_and_give_one_answer_on_all_machines(name:
     interpreted = Reference(found.diagram, 0.01).machine().run(STEPS, given)
     assert all(np.array_equal(compiled[output], interpreted[output]) for output in found.diagram.outputs)
     assert all(np.isfinite(compiled[output]).all() for output in found.diagram.outputs)
+
+
+def test_links_stand_for_blocks_of_libraries_that_link_on_and_for_subsystems_of_their_own_files(tmp_path: Path) -> None:
+    inside = model([("Inport", "u", {}), ("Gain", "", {"Gain": "k_1"}), ("Outport", "y", {})], [("u", ""), ("", "y")])
+    files = {
+        "threefold": ("Subsystem", inside),
+        "halves": ("Library", model([("Gain", "half", {"Gain": ".5"})], [])),
+        "linking": ("Library", model([("Reference", "mine", {"SourceBlock": "halves/half"})], [])),
+    }
+    for name, (kind, parts) in files.items():
+        text = parts["simulink/blockdiagram.xml"].replace("<Model>", f"<{kind}>").replace("</Model>", f"</{kind}>")
+        slx({"simulink/blockdiagram.xml": text}, tmp_path / f"{name}.slx")
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("Reference", "linked", {"SourceBlock": "linking/mine"}),
+        ("SubSystem", "three", {"ReferencedSubsystem": "threefold"}),
+        ("Outport", "y", {}),
+    ]
+    whole = read_model(slx(model(blocks, [("u", "linked"), ("linked", "three"), ("three", "y")]), tmp_path / "m.slx"))
+    assert inspect(whole, [tmp_path]).names == {"k_1": ("threefold/Gain 2",)}
+    given = {"k_1": np.array([[3.0]])}
+    found = flown(import_system(whole, workspace=given, folders=[tmp_path], dt=DT), {"u": DRAWN[0]})
+    assert np.array_equal(found["y"], 3.0 * (0.5 * DRAWN[0]))
+    missing = import_system(whole, workspace=given, dt=DT).refused
+    assert {line.path: line.why for line in missing} == {
+        name: f"the library {file} is not found: name its folder with --path"
+        for name, file in (("linked", "linking"), ("three", "threefold"))
+    }
+
+
+def test_an_algebraic_loop_is_named(tmp_path: Path) -> None:
+    blocks = [("Gain", "a", {"Gain": ".5"}), ("Gain", "b", {"Gain": ".5"}), ("Outport", "y", {})]
+    found = import_system(
+        read_model(slx(model(blocks, [("a", "b"), ("b", "a"), ("b", "y")]), tmp_path / "m.slx")), dt=DT
+    )
+    assert found.diagram is not None
+    with pytest.raises(DiagramError, match=r"algebraic loop a.y <- b.y <- a.y"):
+        build(found.diagram, dt=found.dt)

@@ -8,7 +8,7 @@ report says for each block whether it was imported, approximated, dropped or ref
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -40,7 +40,7 @@ class ReportLine:
     path: str
     kind: str
     status: str
-    """`imported`, `approximated`, `dropped`, `refused`, or `not reached`: it hangs on what is refused."""
+    """`imported`, `approximated`, `dropped` or `refused`."""
     why: str = ""
 
 
@@ -127,10 +127,8 @@ class _Import:
             if block.type in ("Inport", "InportShadow") and key[0] == self.path:
                 self._try(key, partial(self._inport, key, block))
         self._infer()
-        diagram = (
-            None if any(line.status in ("refused", "not reached") for line in self.report) else self._diagram(self.path)
-        )
-        order = {"refused": 0, "not reached": 1, "approximated": 2, "dropped": 3, "imported": 4}
+        diagram = None if any(line.status == "refused" for line in self.report) else self._diagram(self.path)
+        order = {"refused": 0, "approximated": 1, "dropped": 2, "imported": 3}
         self.report.sort(key=lambda line: order[line.status])
         return Imported(diagram, self.dt, self.report, self.notes)
 
@@ -165,9 +163,10 @@ class _Import:
     def _collect(
         self, path: str, system: System, names: dict[str, Value], owner: tuple[str, str] | None, depth: int = 0
     ) -> None:
-        self.sheets[path] = _Sheet(system, names, owner)
         if depth > 40:
             raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
+        system = System(dict(system.blocks), system.lines)
+        inside: list[tuple[str, str, System, SimulinkBlock]] = []
         for sid, block in system.blocks.items():
             at = f"{path}/{escaped(block.name)}".lstrip("/")
             if block.type in _CONDITIONAL:
@@ -175,41 +174,77 @@ class _Import:
                     ReportLine(at, block.kind, "refused", "conditional and iterated subsystems are not translated")
                 )
                 continue
-            self.blocks[path, sid] = block
-            if block.commented:
-                continue
             try:
-                inner, source = self._body(block, names)
+                linked = block if block.commented else self._linked(block, at)
+                inner, masked = (None, block) if block.commented else self._body(linked, names, at)
             except NotTranslated as reason:
                 self.report.append(ReportLine(at, block.kind, "refused", str(reason)))
-                continue
+                linked, inner = block, None
+            self.blocks[path, sid] = system.blocks[sid] = linked
             if inner is not None:
-                own = self._inside(source, {**block.values, **block.instance}, names)
-                self._collect(at, inner, own, (path, sid), depth + 1)
+                inside.append((at, sid, inner, masked))
+        self.sheets[path] = _Sheet(system, names, owner)
+        for at, sid, inner, masked in inside:
+            block = system.blocks[sid]
+            own = self._inside(masked, {**block.values, **block.instance}, names)
+            self._collect(at, inner, own, (path, sid), depth + 1)
 
-    def _body(self, block: SimulinkBlock, names: dict[str, Value]) -> tuple[System | None, SimulinkBlock]:
-        """Return what is inside a block, and who has its mask: a link's library block, a variant's active choice."""
+    def _linked(self, block: SimulinkBlock, at: str) -> SimulinkBlock:
+        """Return the block of a library that a link stands for, with what the link gives it; else the block itself."""
+        for _ in range(20):
+            if block.type != "Reference" or block.kind in RULES:
+                return block
+            library, _, inside = collapsed(block.values.get("SourceBlock", "")).partition("/")
+            if library in OWN_LIBRARIES:
+                raise NotTranslated(f"the library block {library}/{inside} is not translated")
+            found = dict(self._file(library).blocks()).get(inside)
+            if found is None:
+                raise NotTranslated(f"the library {library} has no block {inside}")
+            self._take_code(library, inside, at)
+            instance = {**found.instance, **block.instance}
+            if found.mask is not None:
+                instance |= {name: block.values[name] for name in found.mask.parameters if name in block.values}
+            place = {key: text for key, text in block.values.items() if key in ("Position", "Orientation")}
+            block = replace(
+                found,
+                name=block.name,
+                sid=block.sid,
+                values={**found.values, **place},
+                instance=instance,
+                ports=block.ports or found.ports,
+            )
+        raise NotTranslated("libraries link to each other in a circle")
+
+    def _body(self, block: SimulinkBlock, names: dict[str, Value], at: str) -> tuple[System | None, SimulinkBlock]:
+        """Return what is inside a block, and who has its mask: itself, or a variant's active choice."""
         if block.kind == "MATLAB Function":
             return None, block
         if block.kind in ("Chart", "State Transition Table", "Truth Table"):
             raise NotTranslated(f"a {block.kind} is not translated")
-        if block.type == "SubSystem":
-            if block.values.get("Variant", "off") == "on":
-                choice = self._choice(block, names)
-                return choice.system, choice
-            return block.system, block
-        if block.type != "Reference" or block.kind in RULES:
-            return None, block
-        library, _, inside = collapsed(block.values.get("SourceBlock", "")).partition("/")
-        if library in OWN_LIBRARIES:
-            raise NotTranslated(f"the library block {library}/{inside} is not translated")
-        model = self._library(library)
-        if model is None:
-            raise NotTranslated(f"the library {library} is not found: name its folder with --path")
-        found = dict(model.blocks()).get(inside)
-        if found is None or found.system is None:
-            raise NotTranslated(f"the library {library} has no subsystem {inside}")
-        return found.system, found
+        if block.values.get("Variant", "off") == "on":
+            choice = self._choice(block, names)
+            return choice.system, choice
+        if block.type == "SubSystem" and (file := block.values.get("ReferencedSubsystem", "")):
+            self._take_code(file, "", at)
+            return self._file(file).root, block
+        return block.system, block
+
+    def _file(self, name: str) -> Model:
+        """Return the model of a library, or of a subsystem that has a file of its own."""
+        if name not in self.libraries:
+            file = library_file(name, self.folders)
+            self.libraries[name] = None if file is None else read_model(file)
+        found = self.libraries[name]
+        if found is None:
+            raise NotTranslated(f"the library {name} is not found: name its folder with --path")
+        return found
+
+    def _take_code(self, library: str, inside: str, at: str) -> None:
+        """Let the MATLAB Functions of a library's block be those of the block at a path."""
+        for one in self._file(library).charts:
+            path = collapsed(one.path)
+            if one.function and f"{path}/".startswith(f"{inside}/".lstrip("/")):
+                self.code[f"{at}/{path[len(inside) :].lstrip('/')}".strip("/")] = one.text
 
     @staticmethod
     def _choice(block: SimulinkBlock, names: dict[str, Value]) -> SimulinkBlock:
@@ -236,12 +271,6 @@ class _Import:
                 f"{len(active)} choices of the variant are active: give their conditions' names by --workspace"
             )
         return active[0]
-
-    def _library(self, name: str) -> Model | None:
-        if name not in self.libraries:
-            file = library_file(name, self.folders)
-            self.libraries[name] = None if file is None else read_model(file)
-        return self.libraries[name]
 
     def _period(self) -> float:
         """Return the one period of all blocks [s]. Raises DiagramError where there are several, or none."""
@@ -400,13 +429,10 @@ class _Import:
                 follow = [one for output in found for one in behind.get(output, []) if one in waiting]
                 ready += [one for one in follow if not waiting[one] - self.signals.keys()]
             # A loop is broken at the first block whose output may be known before its input.
-            loop = next((key for key in waiting if self.blocks[key].type in STATEFUL), None)
-            if loop is None:
-                break
-            ready.append(loop)
-        for path, sid in waiting:
-            why = "the types of its inputs are not known"
-            self._line(path, sid, "not reached", why)
+            # What has no rule is refused there too, and without any such block the loop is an algebraic one.
+            at = (key for key in waiting if self.blocks[key].type in STATEFUL)
+            loop = next(at, None) or next((key for key in waiting if self.blocks[key].kind not in RULES), None)
+            ready += [loop] if loop is not None else list(waiting)[:1]
 
     def _await(self, key: tuple[str, str], waiting: dict[tuple[str, str], set[Output]]) -> None:
         found = {self._origin(key[0], pin) for pin in self._inputs(key)}

@@ -103,6 +103,7 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
     named = Counter(
         collapsed(one.values.get("SourceBlock", "")).partition("/")[0] for _, one in blocks if one.type == "Reference"
     )
+    named.update(name for _, one in blocks if (name := one.values.get("ReferencedSubsystem", "")))
     libraries = tuple(_library(name, count, folders) for name, count in named.most_common())
     lines = [line for _, system in systems for line in system.lines]
     return Inspection(
@@ -158,6 +159,9 @@ def unresolved(model: Model, libraries: Iterable[Model] = ()) -> dict[str, tuple
     found: dict[str, list[str]] = {}
     known = {name for code in model.callbacks.values() for name in assigned_names(code)}
     _unresolved(model.root, "", known, masks, found)
+    for one in libraries:
+        if one.kind == "subsystem":  # a subsystem with a file of its own has the names of its model's workspace
+            _unresolved(one.root, one.name, known, masks, found)
     return {name: tuple(paths[:3]) for name, paths in sorted(found.items())}
 
 

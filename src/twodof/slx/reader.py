@@ -100,7 +100,7 @@ class PackageReader:
             raise LogError(f"has more than {MOST_BLOCKS} blocks", self.package.where, REMEDY)
         made: dict[str, Any] = {
             "type": element.get("BlockType", ""),
-            "name": element.get("Name", ""),
+            "name": element.get("Name") or f"{element.get('BlockType', '')} {element.get('SID', '')}",
             "sid": element.get("SID") or f"name {element.get('Name')}",
             "values": _values(element),
         }
