@@ -3,6 +3,8 @@
 import io
 import zipfile
 from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
 
 BLOCKS = """
 <Block BlockType="Inport" Name="error" SID="1"><P Name="Position">[20, 40, 50, 54]</P></Block>
@@ -175,6 +177,36 @@ def parts(layout: str) -> dict[str, str]:
         "metadata/coreProperties.xml": CORE.format(version="R2024a"),
         "metadata/mwcoreProperties.xml": "<mw xmlns='y'><matlabRelease>R2024a</matlabRelease></mw>",
     }
+
+
+Blocks = list[tuple[Any, ...]]
+"""Blocks as (type, name, values), or with what is inside, (type, name, values, (blocks, lines))."""
+Lines = list[tuple[str, str]]
+"""Lines from `name:port` to `name:port`, or to `name#enable`."""
+
+
+def system(blocks: Blocks, lines: Lines, prefix: str = "") -> str:
+    """Return the XML of a system with systems in it."""
+    ids = {one[1]: f"{prefix}{k + 1}" for k, one in enumerate(blocks)}
+
+    def pin(text: str, side: str) -> str:
+        name, _, number = text.partition(":")
+        block, _, kind = name.partition("#")
+        return f"{ids[block]}#{kind}" if kind else f"{ids[name]}#{side}:{number or 1}"
+
+    body = ""
+    for kind, name, values, *inner in blocks:
+        given = "".join(f'<P Name="{key}">{escape(value)}</P>' for key, value in values.items())
+        within = system(*inner[0], prefix=f"{ids[name]}_") if inner else ""
+        body += f'<Block BlockType="{kind}" Name="{name}" SID="{ids[name]}">{given}{within}</Block>'
+    body += "".join(f'<Line><P Name="Src">{pin(a, "out")}</P><P Name="Dst">{pin(b, "in")}</P></Line>' for a, b in lines)
+    return f"<System>{body}</System>"
+
+
+def model_of(blocks: Blocks, lines: Lines, path: Path) -> Path:
+    """Write a model with systems in it, and return its path."""
+    inside = f"<ModelInformation><Model>{system(blocks, lines)}</Model></ModelInformation>"
+    return slx({"simulink/blockdiagram.xml": inside}, path)
 
 
 def slx(files: dict[str, str], path: Path) -> Path:

@@ -42,6 +42,7 @@ from twodof.blocks.library import (
     ZeroOrderHold,
 )
 from twodof.blocks.library import Atan2 as Atan2Block
+from twodof.slx.conditions import CONDITION_RULES
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
 from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
 
@@ -313,6 +314,7 @@ DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop")
 
 
 RULES: dict[str, Rule] = {
+    **CONDITION_RULES,
     **DYNAMIC_RULES,
     "Abs": lambda c: same(c, Abs(c.kind("real", "int32"), c.width), c.kind("real", "int32")),
     "Bias": lambda c: same(c, Bias(c.scalar("Bias", "0.0"), c.width)),

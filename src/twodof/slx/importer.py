@@ -11,26 +11,28 @@ from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequenc
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
-from twodof.blocks.library import Constant, ZeroOrderHold
+from twodof.blocks.library import Constant, Logic, Merge, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, INPUTS, RULES
+from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition, ControlEdge, conditions_of
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction, last_index
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
 from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, port_number, read_model
-from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded
+from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded, plain
 
 Output = tuple[str, str, int]
 """An output of a block: path of its system, identifier and number."""
+_PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", *CONTROL_PORTS, *ITERATED)
 _SINGLE = "single: computed in the precision of the build"
-_CONDITIONAL = ("EnablePort", "TriggerPort", "ActionPort", "ResetPort", "ForEach", "WhileIterator", "ForIterator")
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,9 @@ class _Sheet:
 
     def __init__(self, system: System, names: dict[str, Value], owner: tuple[str, str] | None) -> None:
         self.system, self.names, self.owner = system, names, owner
+        self.diagram = Diagram("sheet")
+        self.parts: dict[str, str] = {}
+        self.helpers: dict[str, str] = {}
         self.sources: dict[Pin, Pin] = {}
         self.sinks: dict[Pin, list[Pin]] = {}
         self.inputs: dict[str, int] = {}
@@ -112,6 +117,7 @@ class _Import:
                 self.notes.append(f"{callback}, line {skipped.line}: {skipped.why}")
         self.names = {**names, **workspace}
         self.sheets: dict[str, _Sheet] = {}
+        self.conditions: dict[str, list[Condition]] = {}
         self.code = {collapsed(one.path): one.text for one in model.charts if one.function}
         self.blocks: dict[tuple[str, str], SimulinkBlock] = {}
         self.made: dict[tuple[str, str], Made] = {}
@@ -128,6 +134,8 @@ class _Import:
                 self._try(key, partial(self._inport, key, block))
         self._infer()
         diagram = None if any(line.status == "refused" for line in self.report) else self._diagram(self.path)
+        if any(line.status == "refused" for line in self.report):  # what only the connections show
+            diagram = None
         order = {"refused": 0, "approximated": 1, "dropped": 2, "imported": 3}
         self.report.sort(key=lambda line: order[line.status])
         return Imported(diagram, self.dt, self.report, self.notes)
@@ -169,11 +177,6 @@ class _Import:
         inside: list[tuple[str, str, System, SimulinkBlock]] = []
         for sid, block in system.blocks.items():
             at = f"{path}/{escaped(block.name)}".lstrip("/")
-            if block.type in _CONDITIONAL:
-                self.report.append(
-                    ReportLine(at, block.kind, "refused", "conditional and iterated subsystems are not translated")
-                )
-                continue
             try:
                 linked = block if block.commented else self._linked(block, at)
                 inner, masked = (None, block) if block.commented else self._body(linked, names, at)
@@ -184,6 +187,10 @@ class _Import:
             if inner is not None:
                 inside.append((at, sid, inner, masked))
         self.sheets[path] = _Sheet(system, names, owner)
+        try:
+            self.conditions[path] = conditions_of(self.sheets[path].system)
+        except NotTranslated as reason:
+            self.report.append(ReportLine(path, "SubSystem", "refused", str(reason)))
         for at, sid, inner, masked in inside:
             block = system.blocks[sid]
             own = self._inside(masked, {**block.values, **block.instance}, names)
@@ -322,6 +329,10 @@ class _Import:
         if len([n for n in elements if n > 1]) > 1:
             raise NotTranslated(f"PortDimensions = {block.values['PortDimensions']} is not translated")
         width = max(elements)
+        if block.values.get("OutputFunctionCall", "off") == "on":
+            self.approximated.setdefault(key, []).append("a call is true for the step in which it is made")
+            self.signals[*key, 1] = Signal("bool")
+            return
         if said == "single":
             self.approximated.setdefault(key, []).append(_SINGLE)
         if said.startswith("Inherit") or width == -1:
@@ -409,11 +420,10 @@ class _Import:
 
     def _infer(self) -> None:
         """Translate each block when the types of its inputs are known, from the sources on."""
-        passing = ("Inport", "Outport", "InportShadow", "Goto", "From")
         waiting: dict[tuple[str, str], set[Output]] = {}
         behind: dict[Output, list[tuple[str, str]]] = {}
         for key, block in self.blocks.items():
-            if block.type not in passing and not self._is_system(block) and not block.commented:
+            if block.type not in _PASSING and not self._is_system(block) and not block.commented:
                 self._try(key, partial(self._await, key, waiting))
         for key, origins in waiting.items():
             for origin in origins:
@@ -492,7 +502,8 @@ class _Import:
         system = self.sheets[path].system
         title = re.split(r"(?<!/)/(?!/)", path)[-1] if path else self.model.name
         diagram = Diagram(_safe(title, set()), f"{self.model.name}/{path}".rstrip("/"))
-        names: dict[str, str] = {}
+        names = self.sheets[path].parts
+        self.sheets[path].diagram = diagram
         taken: set[str] = set()
         for sid, block in self._ordered(system):
             names[sid] = _safe(block.name, taken)
@@ -506,9 +517,9 @@ class _Import:
                 diagram.input(names[sid], signal.kind, signal.width)
                 self._report(path, sid, "imported")
         for sid, block in system.blocks.items():
-            self._add(diagram, path, sid, block, names)
+            self._try((path, sid), partial(self._add, diagram, path, sid, block, names))
         for sid, block in system.blocks.items():
-            self._wire(diagram, path, sid, block, names)
+            self._try((path, sid), partial(self._wire, diagram, path, sid, block, names))
         for sid, _ in outports:
             source = self._name(path, self._source(path, Pin(sid, "in", 1)), names, diagram)
             if source in diagram.inputs:  # an output of a diagram is fed by a part
@@ -536,12 +547,12 @@ class _Import:
         if block.commented:
             self._report(path, sid, "dropped", "commented out")
             return
-        if block.type in ("Inport", "Outport", "InportShadow", "Goto", "From"):
+        if block.type in _PASSING:
             if block.type not in ("Inport", "Outport"):
                 self._report(path, sid, "imported")
             return
         if self._is_system(block):
-            diagram.add(names[sid], self._diagram(inner), position=_corner(block))
+            diagram.add(names[sid], self._diagram(inner), initial=self._initial(inner), position=_corner(block))
             self._report(path, sid, "imported")
             return
         made = self.made[path, sid]
@@ -558,6 +569,12 @@ class _Import:
         item = diagram.parts[name].item
         made = self.made.get((path, sid), Made(None, []))
         ports = [port.name for port in item.inputs] if isinstance(item, LibraryBlock) else list(item.inputs)
+        if isinstance(item, Diagram):
+            self._condition(path, sid, f"{path}/{escaped(block.name)}".lstrip("/"))
+        if isinstance(item, Merge):
+            for letter, pin in zip(item.names, self._inputs((path, sid)), strict=True):
+                diagram.connect(self._acts(path, pin), f"{name}.{letter}_acts")
+            ports = list(item.names)
         width = None
         if made.expand and made.item is not None and made.outputs and not isinstance(item, Diagram):
             width = next((port.width for port in item.inputs if port.width is not None), None)
@@ -568,6 +585,85 @@ class _Import:
             if made.expand and width is not None and signal.width is None:
                 source = expanded(diagram, source, signal, width)
             diagram.connect(source, f"{name}.{port}")
+
+    def _initial(self, path: str) -> dict[str, Any]:
+        """Return what the outputs of a conditional subsystem are before it acts, where the file says it."""
+        found: dict[str, Any] = {}
+        sheet = self.sheets[path]
+        for sid, block in sheet.system.blocks.items():
+            if block.type == "Outport" and self.conditions.get(path):
+                said = {**self.model.defaults.get("Outport", {}), **block.values}.get("InitialOutput", "[]")
+                values = as_array(number(evaluate(said, sheet.names, "InitialOutput"))).flatten()
+                if values.size:
+                    signal = self._type(path, Pin(sid, "in", 1)) or Signal()
+                    given = [plain(v, signal.kind) for v in values]
+                    whole = given * (signal.width or 1) if len(given) == 1 else given
+                    found[sheet.parts[sid]] = given[0] if signal.width is None else whole
+        return found
+
+    def _condition(self, path: str, sid: str, inner: str) -> None:
+        """Connect what makes a subsystem act, start afresh, or have its initial outputs while it does not act."""
+        sheet = self.sheets[path]
+        part = sheet.diagram.parts[sheet.parts[sid]]
+        for one in self.conditions.get(inner, ()):
+            flag = self._flag(path, sid, one)
+            if one.pin == "reset":
+                part.reset = flag
+                continue
+            part.enable, part.enabling = flag, "restart" if one.restart else "keep"
+            outports = [b for b in self.sheets[inner].system.blocks.values() if b.type == "Outport"]
+            resets = [b for b in outports if b.values.get("OutputWhenDisabled", "held") == "reset"]
+            if resets and one.pin != "trigger":
+                if len(resets) < len(outports):
+                    raise NotTranslated("some of its outputs are held and some reset while it is disabled")
+                part.disabled = "reset"
+
+    def _flag(self, path: str, sid: str, condition: Condition) -> str:
+        """Return the source of the bool that makes a subsystem act; it is made if there is none yet."""
+        sheet, pin = self.sheets[path], Pin(sid, condition.pin, 1)
+        source = self._name(path, self._source(path, pin), sheet.parts, sheet.diagram)
+        signal = self._type(path, pin) or Signal()
+        if signal.width is not None:
+            raise NotTranslated(f"its {condition.pin} is a vector")
+        if signal.kind == "bool" and condition.edge in ("", "level hold"):
+            return source
+        edge = ControlEdge(condition.edge, signal.kind, condition.pin == "reset")
+        return self._helper(path, f"{sheet.parts[sid]}_{condition.pin}s", edge, source)
+
+    def _helper(self, path: str, wanted: str, block: LibraryBlock, *sources: str) -> str:
+        """Return the output of a block that no Simulink block stands for, added once to a sheet's diagram."""
+        sheet = self.sheets[path]
+        if wanted not in sheet.helpers:
+            name = _safe(wanted, {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()})
+            ports = [port.name for port in block.inputs]
+            sheet.diagram.add(name, block, inputs=dict(zip(ports, sources, strict=True)))
+            sheet.helpers[wanted] = f"{name}.{block.outputs[0].name}"
+        return sheet.helpers[wanted]
+
+    def _acts(self, path: str, pin: Pin) -> str:
+        """Return the source of the bool that says whether what drives an input of a Merge acts."""
+        sheet, source = self.sheets[path], self._source(path, pin)
+        if source is None:
+            raise NotTranslated("nothing drives an input")
+        block = sheet.system.blocks[source[1]]
+        inner = f"{path}/{escaped(block.name)}".lstrip("/")
+        acting = [one for one in self.conditions.get(inner, ()) if one.pin != "reset"] if source[0] == path else []
+        if acting:
+            return self._flag(path, source[1], acting[0])
+        if block.type == "Merge" and source[0] == path:
+            inputs = [self._acts(path, one) for one in self._inputs((path, source[1]))]
+            return self._helper(path, f"{sheet.parts[source[1]]}_acts", Logic("or", len(inputs)), *inputs)
+        if (
+            source[0] == path
+            and self._is_system(block)
+            and (out := self.sheets[inner].ports.get(("Outport", source[2])))
+        ):
+            within = self._acts(inner, Pin(out, "in", 1))
+            diagram, name = self.sheets[inner].diagram, f"{self.sheets[inner].parts[out]}_acts"
+            if name not in diagram.outputs:
+                diagram.output(name, within)
+            return f"{sheet.parts[source[1]]}.{name}"
+        raise NotTranslated(f"its input {pin.number} is not the output of a conditional subsystem")
 
     def _name(self, path: str, source: tuple[str, str, int] | None, names: Mapping[str, str], diagram: Diagram) -> str:
         """Return the source's name in the diagram; an unconnected input is 0, as in Simulink."""

@@ -1,0 +1,237 @@
+"""Subsystems that act at times only: enabled, triggered, called, resettable ones, and actions of If and Switch Case.
+
+Edges are those of MathWorks' C: of a trigger by the signs before and after with the zero in between (`rt_ZCFcn`), of a
+reset by the sign before (`PrevResetState`).
+"""
+
+import ast
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks import Diagram
+from twodof.blocks.block import Block, Clock
+from twodof.blocks.declarations import Port, State
+from twodof.blocks.expressions.expr import int32, to_real, where
+from twodof.blocks.library import CaseChoice, Constant, Convert, FirstTrue, Merge, ZeroOrderHold
+from twodof.errors import DiagramError
+from twodof.slx.matlab import evaluate
+from twodof.slx.matlab_values import Value, as_array, scalar
+from twodof.slx.model import System
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
+
+CONTROL_PORTS = {"EnablePort": "enable", "TriggerPort": "trigger", "ActionPort": "ifaction", "ResetPort": "reset"}
+"""Block types that make their subsystem conditional, with the kind of pin that they give it."""
+ITERATED = ("ForEach", "WhileIterator", "ForIterator")
+_OPERATIONS: dict[type, Callable[..., Any]] = {
+    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Eq: operator.eq,
+    ast.NotEq: operator.ne, ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
+    ast.Div: operator.truediv, ast.And: operator.and_, ast.Or: operator.or_, ast.USub: operator.neg,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Condition:
+    """When a subsystem acts: the pin that says it, at which `edge` ("" while it is positive), and if it starts afresh.
+
+    A subsystem with the pin `reset` always acts, and is initial at the edge.
+    """
+
+    pin: str
+    edge: str
+    restart: bool
+
+
+def conditions_of(system: System) -> list[Condition]:
+    """Return the conditions of a system. Raises NotTranslated for ones that have no equivalent."""
+    found = []
+    for block in system.blocks.values():
+        if block.type in ITERATED:
+            raise NotTranslated(f"a subsystem with a {block.type} is not translated")
+        if block.type not in CONTROL_PORTS or block.commented:
+            continue
+        if block.values.get("ShowOutputPort", "off") == "on":
+            raise NotTranslated(f"ShowOutputPort of its {block.type} is not translated")
+        edge = {"TriggerPort": block.values.get("TriggerType", "rising")}.get(block.type, "")
+        if block.type == "ResetPort":
+            edge = block.values.get("ResetTriggerType", "level")
+        if edge not in ("", "rising", "falling", "either", "function-call", "level", "level hold"):
+            raise NotTranslated(f"TriggerType = {edge!r} is not translated")
+        key = "InitializeStates" if block.type == "ActionPort" else "StatesWhenEnabling"
+        restart = block.values.get(key, "held") == "reset" and block.type != "TriggerPort"
+        found.append(Condition(CONTROL_PORTS[block.type], "" if edge == "function-call" else edge, restart))
+    if len([one for one in found if one.pin != "reset"]) > 1:
+        raise NotTranslated("a subsystem that is enabled and triggered is not translated")
+    return found
+
+
+class ControlEdge(Block):
+    """y is true where u, a signal of this kind, has an edge, or is positive (edge ""), or not 0 ("level hold").
+
+    "rising", "falling" and "either" are edges of a trigger, from and to 0 too, but 0 in passing counts once. With
+    `reset` they are those of a reset: from 0 or less to more, or back; "level" is u now or before. The first sample
+    has no edge.
+    """
+
+    def __init__(self, edge: str, kind: str = "real", reset: bool = False) -> None:
+        self.edge, self.kind, self.reset = edge, kind, reset
+        self.inputs = [Port("u", kind)]
+        self.outputs = [Port("y", "bool")]
+        if edge not in ("", "level hold"):
+            self.states = [State("sign", 2, "int32"), State("passing", 0, "int32")]
+
+    def _sign(self, u: Any) -> Any:
+        value = u.u if self.kind == "real" else to_real(u.u)
+        return where(value > 0.0, int32(1), where(value < 0.0, int32(-1), int32(0)))
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Compare the sign with that of the sample before."""
+        sign = self._sign(u)
+        if self.edge == "":
+            return sign > 0
+        if self.edge == "level hold":
+            return sign != 0
+        if self.edge == "level":
+            return (sign != 0) | (x.sign != 0)
+        if self.reset:
+            up, down = (sign > 0) & (x.sign <= 0), (sign <= 0) & (x.sign == 1)
+        else:
+            up = ((x.sign == 0) & (sign > 0) & (x.passing != 1)) | ((x.sign == -1) & (sign >= 0))
+            down = ((x.sign == 0) & (sign < 0) & (x.passing != -1)) | ((x.sign == 1) & (sign <= 0))
+        return up if self.edge == "rising" else down if self.edge == "falling" else up | down
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Keep the sign, and whether 0 was just reached from below (1) or above (-1)."""
+        if self.edge in ("", "level hold"):
+            return {}
+        sign = self._sign(u)
+        reached = (sign == 0) & (x.sign != 0) & (x.sign != 2)
+        return {"sign": sign, "passing": where(reached, -x.sign, int32(0))}
+
+
+class IfConditions(Block):
+    """One bool for each expression of the inputs u1, u2, ..., which have these kinds; `names` are constants in them.
+
+    Raises DiagramError for an expression that is more than comparisons, logic and sums of products.
+    """
+
+    def __init__(self, expressions: Sequence[str], kinds: Sequence[str], names: Mapping[str, Value]) -> None:
+        self.trees = []
+        for text in expressions:
+            python = re.sub(r"[~!](?!=)", " not ", text.replace("~=", "!="))
+            python = re.sub(r"&&?", " and ", re.sub(r"\|\|?", " or ", python))
+            try:
+                self.trees.append(ast.parse(python.strip(), mode="eval").body)
+            except (SyntaxError, ValueError):
+                raise DiagramError(f"{text}: is not an expression", "If", "mend it") from None
+        self.names = dict(names)
+        self.inputs = [Port(f"u{k}", kind) for k, kind in enumerate(kinds, start=1)]
+        self.outputs = [Port(f"y{k}", "bool") for k in range(1, len(expressions) + 1)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Compute the expressions."""
+        signals = {port.name: u[port.name] if port.kind == "real" else to_real(u[port.name]) for port in self.inputs}
+        found = [self._value(tree, signals) for tree in self.trees]
+        return {port.name: _truth(value) for port, value in zip(self.outputs, found, strict=True)}
+
+    def _value(self, tree: ast.expr, signals: Mapping[str, Any]) -> Any:
+        def of(one: ast.expr) -> Any:
+            return self._value(one, signals)
+
+        if isinstance(tree, ast.BoolOp):
+            return reduce(_OPERATIONS[type(tree.op)], [_truth(of(one)) for one in tree.values])
+        if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.Not):
+            return ~_truth(of(tree.operand))
+        if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
+            return -of(tree.operand)
+        if isinstance(tree, ast.Compare) and len(tree.ops) == 1:
+            return _OPERATIONS[type(tree.ops[0])](of(tree.left), of(tree.comparators[0]))
+        if isinstance(tree, ast.BinOp) and type(tree.op) in _OPERATIONS:
+            return _OPERATIONS[type(tree.op)](of(tree.left), of(tree.right))
+        if isinstance(tree, ast.Name) and tree.id in signals:
+            return signals[tree.id]
+        return scalar(evaluate(ast.unparse(tree), self.names))
+
+
+def _truth(value: Any) -> Any:
+    return value if getattr(value, "kind", "") == "bool" else value != 0.0
+
+
+def _if(c: Asked) -> Made:
+    if any(one.width is not None for one in c.inputs):
+        raise NotTranslated("an input is a vector")
+    expressions = [c.text("IfExpression", "u1 > 0"), *re.findall(r"[^,]+", c.text("ElseIfExpressions", ""))]
+    d, conditions = Diagram("choice"), IfConditions(expressions, [one.kind for one in c.inputs], c.names)
+    _ = conditions.trace  # what it cannot compute is refused here
+    for port in conditions.inputs:
+        d.input(port.name, port.kind)
+    d.add("conditions", conditions, inputs={port.name: port.name for port in conditions.inputs})
+    first = FirstTrue(len(expressions))
+    acts = {name: f"conditions.y{k + 1}" for k, name in enumerate(first.names)}
+    return _chosen(d, first, acts, c.text("ShowElse", "on") == "on")
+
+
+def _switch_case(c: Asked) -> Made:
+    kind = c.inputs[0].kind
+    if c.inputs[0].width is not None:
+        raise NotTranslated("its input is a vector")
+    try:
+        cases = evaluate(c.text("CaseConditions", "{1}"), c.names)
+    except DiagramError as reason:
+        raise NotTranslated(f"parameter CaseConditions: {reason.what}") from None
+    numbers = [[int(n) for n in as_array(one).flatten()] for one in (cases if isinstance(cases, list) else [cases])]
+    d = Diagram("choice")
+    source = d.input("u", kind)
+    if kind != "int32":
+        source = d.add("whole", Convert(kind, "int32", "trunc"), u="u")
+    return _chosen(d, CaseChoice(numbers), {"u": source}, c.text("ShowDefaultCase", "on") == "on")
+
+
+def _chosen(d: Diagram, choice: FirstTrue | CaseChoice, inputs: Mapping[str, str], otherwise: bool) -> Made:
+    d.add("choice", choice, inputs=inputs)
+    shown = [*choice.names, *(["otherwise"] if otherwise else [])]
+    for name in shown:
+        d.output(name, f"choice.{name}")
+    return Made(d, [Signal("bool")] * len(shown), expand=False)
+
+
+def _merge(c: Asked) -> Made:
+    """Return a Merge, whose inputs that say which part acts the importer connects."""
+    known = [one for one in c.inputs if one.kind != c.inputs[0].kind or one.width != c.inputs[0].width]
+    if known or c.text("AllowUnequalInputPortWidths", "off") == "on":
+        raise NotTranslated("its inputs have other types")
+    one = c.inputs[0]
+    start = c.value("InitialOutput", "[]")
+    values = [plain(v, one.kind) for v in start.flatten()] or [plain(0, one.kind)]
+    initial = values[0] if len(values) == 1 else values
+    return Made(Merge(len(c.inputs), initial, one.kind, one.width), [one], expand=False)
+
+
+def _called(c: Asked) -> Made:
+    if c.text("numberOfIterations", "1") not in ("1", ""):
+        raise NotTranslated("numberOfIterations other than 1 is not translated")
+    return Made(Constant(np.True_.item(), "bool"), [Signal("bool")])
+
+
+def _split(c: Asked) -> Made:
+    d = Diagram("calls")
+    d.input("u", "bool")
+    d.add("call", ZeroOrderHold("bool"), u="u")
+    count = c.block.ports[1] if c.block.ports else 2
+    for k in range(count):
+        d.output(f"y{k + 1}", "call")
+    return Made(d, [Signal("bool")] * count)
+
+
+CONDITION_RULES: dict[str, Rule] = {
+    "Function-Call Generator": _called,
+    "FunctionCallSplit": _split,
+    "If": _if,
+    "Merge": _merge,
+    "SwitchCase": _switch_case,
+}

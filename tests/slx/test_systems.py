@@ -1,0 +1,196 @@
+"""Conditional subsystems of Simulink as diagrams: when they act, their outputs while they do not, and new starts.
+
+The wanted values follow Simulink's definitions step by step in numpy.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.slx.files import Blocks, Lines, model_of
+from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.compile import build
+from twodof.slx.importer import Imported, import_system
+from twodof.slx.model import read_model
+
+pytestmark = pytest.mark.slow
+DT = 0.01
+STEPS = 300
+DRAWN = np.random.default_rng(4).normal(0.0, 1.0, (4, STEPS)).round(1)
+REAL = {"OutDataTypeStr": "double"}
+COUNT: Blocks = [
+    ("Inport", "in", {}),
+    ("Sum", "sum", {"Ports": "[2, 1]"}),
+    ("UnitDelay", "z", {"InitialCondition": "1"}),
+]
+COUNTED: Lines = [("in", "sum:1"), ("z", "sum:2"), ("sum", "z"), ("sum", "out")]
+
+
+def imported(tmp_path: Path, blocks: Blocks, lines: Lines) -> Imported:
+    return import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
+
+
+def flown(found: Imported, **inputs: np.ndarray) -> dict[str, np.ndarray]:
+    """What the imported diagram gives, after a round trip through JSON."""
+    assert found.diagram is not None, found.refused
+    steps = len(next(iter(inputs.values())))
+    return build(from_json(to_json(found.diagram)), dt=found.dt).machine().run(steps, inputs)
+
+
+def conditional(tmp_path: Path, port: str, pin: str, values: dict[str, str], out: dict[str, str]) -> Imported:
+    """Import a model of one subsystem that sums its input from 1 on while `control` makes it act."""
+    inside = ([*COUNT, ("Outport", "out", out), (port, "control", values)], COUNTED)
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("Inport", "control", {"Port": "2", **REAL}),
+        ("SubSystem", "counts", {"Ports": "[1, 1]"}, inside),
+        ("Outport", "y", {}),
+    ]
+    return imported(tmp_path, blocks, [("u", "counts"), ("control", f"counts#{pin}"), ("counts", "y")])
+
+
+def summed(acts: np.ndarray, restarts: np.ndarray, initial: float, held: bool = True) -> np.ndarray:
+    """The sum's output: from 1, anew at `restarts`, held or `initial` while it does not act."""
+    y, state, found = initial, 1.0, []
+    for u, on, again in zip(DRAWN[0], acts, restarts, strict=True):
+        state = 1.0 if again else state
+        if on:
+            state = y = u + state
+        elif not held:
+            y = initial
+        found.append(y)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize("held", [False, True])
+def test_an_enabled_subsystem_holds_or_resets_states_and_outputs(tmp_path: Path, restart: bool, held: bool) -> None:
+    port = {"StatesWhenEnabling": "reset" if restart else "held"}
+    out = {"InitialOutput": "7", "OutputWhenDisabled": "held" if held else "reset"}
+    found = flown(conditional(tmp_path, "EnablePort", "enable", port, out), u=DRAWN[0], control=DRAWN[1])
+    acts = DRAWN[1] > 0.0
+    again = acts & ~np.r_[True, acts[:-1]] & restart
+    assert np.array_equal(found["y"], summed(acts, again, 7.0, held))
+
+
+def crossings(u: np.ndarray, edge: str) -> np.ndarray:
+    """Return where a trigger fires, as Simulink's table of signs says; a zero in passing counts once."""
+    found, before, last = [], None, ""
+    for v in np.sign(u):
+        event = {(-1, 0): "NZ", (-1, 1): "NP", (0, 1): "ZP", (1, 0): "PZ", (1, -1): "PN", (0, -1): "ZN"}.get(
+            (before, v), ""
+        )
+        event = "" if (last, event) in (("NZ", "ZP"), ("PZ", "ZN")) else event
+        up, down = event in ("NZ", "NP", "ZP"), event in ("PZ", "PN", "ZN")
+        found.append({"rising": up, "falling": down, "either": up or down}[edge])
+        before, last = v, event
+    return np.array(found)
+
+
+@pytest.mark.parametrize("edge", ["rising", "falling", "either"])
+def test_a_triggered_subsystem_acts_at_edges_through_zero_once(tmp_path: Path, edge: str) -> None:
+    control = np.random.default_rng(5).integers(-1, 2, STEPS).astype(float)
+    found = flown(
+        conditional(tmp_path, "TriggerPort", "trigger", {"TriggerType": edge}, {}), u=DRAWN[0], control=control
+    )
+    acts = crossings(control, edge)
+    assert 40 < acts.sum() < 250
+    assert np.array_equal(found["y"], summed(acts, np.zeros(STEPS, bool), 0.0))
+
+
+def test_a_resettable_subsystem_is_initial_while_its_level_lasts(tmp_path: Path) -> None:
+    control = (DRAWN[1] > 0.8).astype(float)
+    port = {"ResetTriggerType": "level hold"}
+    found = flown(conditional(tmp_path, "ResetPort", "Reset", port, {}), u=DRAWN[0], control=control)
+    assert np.array_equal(found["y"], summed(np.ones(STEPS, bool), control > 0.0, 0.0))
+
+
+def actions(tmp_path: Path, choice: tuple[str, dict[str, str]], labels: list[str], state: str) -> Imported:
+    """Import a model of action subsystems with sums, merged."""
+    parts: Blocks = []
+    lines: Lines = [("pick", "choice:1")]
+    for k, label in enumerate(labels, start=1):
+        port = ("ActionPort", "act", {"InitializeStates": state})
+        inside = ([*COUNT, ("Outport", "out", {}), port], COUNTED)
+        parts += [
+            ("SubSystem", label, {"Ports": "[1, 1]"}, inside),
+            ("Gain", f"k{k}", {"Gain": str(k)}),
+        ]
+        lines += [("u", f"k{k}"), (f"k{k}", label), (f"choice:{k}", f"{label}#ifaction"), (label, f"merge:{k}")]
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("Inport", "pick", {"Port": "2", **REAL}),
+        (choice[0], "choice", {"Ports": f"[1, {len(labels)}]", **choice[1]}),
+        *parts,
+        ("Merge", "merge", {"Ports": f"[{len(labels)}, 1]", "InitialOutput": "-3"}),
+        ("Outport", "y", {}),
+    ]
+    return imported(tmp_path, blocks, [*lines, ("merge", "y")])
+
+
+@pytest.mark.parametrize("state", ["held", "reset"])
+@pytest.mark.parametrize("kind", ["If", "SwitchCase"])
+def test_the_action_that_is_chosen_acts_and_is_merged(tmp_path: Path, kind: str, state: str) -> None:
+    if kind == "If":
+        values = {"IfExpression": "u1 > .5 & ~(u1 >= 2*one)", "ElseIfExpressions": "u1 == 0 | u1 == -1, u1 < -1"}
+        pick = DRAWN[1].round(0)
+        chosen = np.select([(pick > 0.5) & ~(pick >= 2.0), (pick == 0.0) | (pick == -1.0), pick < -1.0], [0, 1, 2], 3)
+        labels = ["first", "second", "third", "last"]
+    else:
+        values, pick = {"CaseConditions": "{1, [2 -1]}", "ShowDefaultCase": "off"}, 2.0 * DRAWN[1]
+        whole = np.trunc(pick)
+        chosen = np.select([whole == 1, (whole == 2) | (whole == -1)], [0, 1], -1)
+        labels = ["first", "second"]
+    if kind == "If":
+        values["IfExpression"] = values["IfExpression"].replace("one", "1")
+    found = flown(actions(tmp_path, (kind, values), labels, state), u=DRAWN[0], pick=pick)
+    states, y, wanted, last = [1.0] * len(labels), -3.0, [], -1
+    for k, (u, at) in enumerate(zip(DRAWN[0], chosen, strict=True)):
+        if at >= 0:
+            again = state == "reset" and k > 0 and at != last
+            states[at] = y = (at + 1) * u + (1.0 if again else states[at])
+        wanted.append(y)
+        last = at
+    assert np.array_equal(found["y"], wanted)
+
+
+def test_a_function_call_input_acts_in_the_steps_of_its_calls(tmp_path: Path) -> None:
+    port = ("TriggerPort", "call", {"TriggerType": "function-call"})
+    blocks: Blocks = [
+        ("Inport", "run", {"OutputFunctionCall": "on"}),
+        ("Inport", "u", {"Port": "2", **REAL}),
+        ("SubSystem", "task", {"Ports": "[1, 1]"}, ([*COUNT, ("Outport", "out", {}), port], COUNTED)),
+        ("Outport", "y", {}),
+    ]
+    found = imported(tmp_path, blocks, [("run", "task#trigger"), ("u", "task"), ("task", "y")])
+    acts = DRAWN[1] > 0.0
+    assert np.array_equal(flown(found, run=acts, u=DRAWN[0])["y"], summed(acts, np.zeros(STEPS, bool), 0.0))
+
+
+def test_conditions_without_an_equivalent_are_refused_by_path(tmp_path: Path) -> None:
+    inside: tuple[Blocks, Lines] = (
+        [*COUNT, ("Outport", "out", {}), ("EnablePort", "e", {"ShowOutputPort": "on"})],
+        COUNTED,
+    )
+    each: tuple[Blocks, Lines] = ([*COUNT, ("Outport", "out", {}), ("ForEach", "each", {})], COUNTED)
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("SubSystem", "shown", {"Ports": "[1, 1]"}, inside),
+        ("SubSystem", "all", {"Ports": "[1, 1]"}, each),
+        ("Merge", "merge", {"Ports": "[2, 1]"}),
+        ("Outport", "y", {}),
+    ]
+    lines = [
+        ("u", "shown#enable"),
+        ("u", "shown"),
+        ("u", "all"),
+        ("all", "merge:1"),
+        ("shown", "merge:2"),
+        ("merge", "y"),
+    ]
+    found = imported(tmp_path, blocks, lines)
+    assert {(line.path, line.why) for line in found.refused} == {
+        ("shown", "ShowOutputPort of its EnablePort is not translated"),
+        ("all", "a subsystem with a ForEach is not translated"),
+    }
