@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+import zipfile
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -127,6 +128,19 @@ def test_export_writes_a_header_and_its_c(loop: str, tmp_path: Path, capfd: pyte
     assert "extern const again_Entry again_parameters[];" in (folder / "again.h").read_text()
     assert run(["diagram", "export", loop, f"{tmp_path / 'loop.json'}/firmware"]) == 2
     assert "choose another folder" in capfd.readouterr().err
+
+
+def test_fmu_writes_a_file_that_ends_in_fmu(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "loop.fmu"
+    assert run(["diagram", "fmu", loop, str(file), "--fmi", "2.0", "--log", "memory.y", "--json"]) == 0
+    said = json.loads(capfd.readouterr().out)
+    assert (said["fmi"], said["inputs"], said["outputs"]) == ("2.0", 1, 2)
+    with zipfile.ZipFile(file) as archive:
+        assert b'name="memory.y"' in archive.read("modelDescription.xml")
+    assert run(["diagram", "fmu", loop, str(file)]) == 2
+    assert "--force" in capfd.readouterr().err
+    assert run(["diagram", "fmu", loop, str(tmp_path / "loop.zip")]) == 2
+    assert "name it loop.fmu" in capfd.readouterr().err
 
 
 def test_the_page_is_self_contained_and_complete(loop: str, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from twodof.compile.diagram_test.coverage import Coverage, measure_coverage
 from twodof.compile.diagram_test.run_scenarios import run_scenarios, to_junit
 from twodof.compile.diagram_test.scenario import ScenarioResult
 from twodof.compile.diagram_test.scenario_file import read_scenarios
+from twodof.compile.fmu.export import make_fmu
 from twodof.compile.linear.linear_model import Array, LinearModel
 from twodof.compile.linear.linearize import linearize as linearize_diagram
 from twodof.compile.program.check import Findings
@@ -341,6 +342,43 @@ def export(
         print_json({"name": made.name, "files": [str(path) for path in paths], "sizes": sizes})
         return
     table_console().print(f"written: {', '.join(map(str, paths))}")
+
+
+FmiVersion = Literal["3.0", "2.0"]
+"""Version of FMI."""
+
+
+@diagram.command()
+def fmu(
+    diagram: Which,
+    out: Annotated[Path, argument("The file to write.", "OUT.fmu")],
+    fmi: Annotated[FmiVersion, option("Version of FMI; 2.0 has no arrays and one type of integers.")] = "3.0",
+    dt: Tick = 0.004,
+    precision: Reals = "float64",
+    log: Annotated[
+        list[str] | None, option("Make this signal an output too. May be repeated.", "PATH", "--log")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a diagram as an FMU for co-simulation, with its C and the binary of this computer.
+
+    Simulink, Modelica tools, Drake and others open it. One period is the base tick.
+    """
+    if out.suffix.lower() != ".fmu":
+        raise LogError(f"an FMU ends in .fmu; {out.name} does not", "OUT.fmu", f"name it {out.stem}.fmu")
+    check_folder(out, force)
+    made = make_fmu(load_diagram(diagram), dt, precision, fmi, log or ())
+    made.write(out, force)
+    counts = {
+        f"{causality}s": sum(v.causality == causality for v in made.variables)
+        for causality in ("input", "output", "parameter")
+    }
+    if json:
+        print_json({"name": made.name, "file": str(out), "fmi": fmi, **counts})
+        return
+    told = ", ".join(f"{count} {name if count != 1 else name[:-1]}" for name, count in counts.items())
+    table_console().print(f"written: {out}, FMI {fmi}: {told}")
 
 
 RunOn = Literal["reference", "native", "wasm", "cortex-m7"]
