@@ -42,6 +42,7 @@ from twodof.blocks.library import (
     ZeroOrderHold,
 )
 from twodof.blocks.library import Atan2 as Atan2Block
+from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN
 from twodof.slx.conditions import CONDITION_RULES
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
 from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
@@ -200,7 +201,7 @@ def _switch(c: Asked) -> Made:
         threshold = 0.0 if criterion == "u2 ~= 0" else c.scalar("Threshold", "0")
         d.add("condition", CompareToConstant(operation, threshold, control.kind), u="u2")
         condition = "condition"
-    elif criterion != "u2 ~= 0" and not 0.0 < c.scalar("Threshold", "0") <= 1.0 - (criterion == "u2 > Threshold"):
+    elif criterion != "u2 ~= 0" and not _OF_BOOLEAN[criterion](c.scalar("Threshold", "0")):
         raise NotTranslated(f"Criteria = {criterion!r} of a boolean is not translated")
     sources = {}
     for name, one in (("u1", first), ("u3", third)):
@@ -208,6 +209,13 @@ def _switch(c: Asked) -> Made:
     d.add("y", Switch(kind, width), condition=condition, a=sources["u1"], b=sources["u3"])
     d.output("y", "y")
     return Made(d, [Signal(kind, width)], expand=False)
+
+
+# Thresholds with which a criterion of a boolean is the boolean itself.
+_OF_BOOLEAN: dict[str, Callable[[float], bool]] = {
+    "u2 >= Threshold": lambda value: 0.0 < value <= 1.0,
+    "u2 > Threshold": lambda value: 0.0 <= value < 1.0,
+}
 
 
 def _function(block: type[Any], functions: dict[str, str]) -> Rule:
@@ -255,9 +263,18 @@ def _logic(c: Asked) -> Made:
     name = c.text("Operator", c.text("Function", "AND")).lower()
     if name not in ("and", "or", "xor", "nand", "nor", "not"):
         raise NotTranslated(f"Operator = {name!r} is not translated")
-    if any(one.kind != "bool" for one in c.inputs):
-        raise NotTranslated("inputs that are not boolean are not translated")
-    return Made(Logic(name, len(c.inputs), c.width), [Signal("bool", c.width)])
+    logic, output = Logic(name, len(c.inputs), c.width), Signal("bool", c.width)
+    if all(one.kind == "bool" for one in c.inputs):
+        return Made(logic, [output])
+    d = Diagram("logic")  # a number is true unless it is 0
+    d.add("y", logic)
+    for port, one in zip(logic.inputs, c.inputs, strict=True):
+        source = d.input(port.name, one.kind, c.width)
+        if one.kind != "bool":
+            source = d.add(f"{port.name}_true", CompareToConstant("!=", 0, one.kind, c.width), u=source)
+        d.connect(source, f"y.{port.name}")
+    d.output("y", "y")
+    return Made(d, [output])
 
 
 def _min_max(c: Asked) -> Made:
@@ -310,10 +327,11 @@ _KIND_OF = {np.float64: "real", np.float32: "real", np.bool_: "bool", np.int32: 
 MATH = {"magnitude^2": "square", **{name: name for name in ("exp", "log", "square", "reciprocal", "sqrt")}}
 
 
-DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop")
+DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop", *SHOWN)
 
 
 RULES: dict[str, Rule] = {
+    **COMPOSITE_RULES,
     **CONDITION_RULES,
     **DYNAMIC_RULES,
     "Abs": lambda c: same(c, Abs(c.kind("real", "int32"), c.width), c.kind("real", "int32")),
@@ -356,5 +374,9 @@ RULES: dict[str, Rule] = {
 INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum", "Product"), 2)}
 
 
-INPUTS |= dict.fromkeys(("Clock", "Constant", "DigitalClock", "Ground", "RandomNumber", "Step"), 0)
+INPUTS |= {"MultiPortSwitch": 4, "ManualSwitch": 2, "Merge": 2}
+INPUTS |= dict.fromkeys(
+    ("Clock", "Constant", "DigitalClock", "DiscretePulseGenerator", "Ground", "RandomNumber", "SignalGenerator", "Sin",
+     "Step", "UniformRandomNumber"), 0,
+)  # fmt: skip
 """Inputs of a block of which the file does not say how many; of any other type one."""

@@ -199,9 +199,9 @@ class _Import:
     def _linked(self, block: SimulinkBlock, at: str) -> SimulinkBlock:
         """Return the block of a library that a link stands for, with what the link gives it; else the block itself."""
         for _ in range(20):
-            if block.type != "Reference" or block.kind in RULES:
-                return block
             library, _, inside = collapsed(block.values.get("SourceBlock", "")).partition("/")
+            if block.type != "Reference" or (library in OWN_LIBRARIES and block.kind in RULES):
+                return block
             if library in OWN_LIBRARIES:
                 raise NotTranslated(f"the library block {library}/{inside} is not translated")
             found = dict(self._file(library).blocks()).get(inside)

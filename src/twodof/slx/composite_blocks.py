@@ -1,0 +1,566 @@
+"""Simulink's smaller blocks, and those that its own libraries compose of others: one formula each, in a table.
+
+A formula is a function of numbers, computed element by element, in the order of operations of MathWorks' C.
+"""
+
+import math
+import re
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from twodof.blocks import Diagram
+from twodof.blocks.block import Block, Clock
+from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.elementary.functions import floor, sin, trunc
+from twodof.blocks.elementwise import elementwise, search
+from twodof.blocks.expressions.arrays import vector
+from twodof.blocks.expressions.conversions import to_stored
+from twodof.blocks.expressions.expr import int32, to_int32, to_uint32, where
+from twodof.blocks.library import (
+    DiscreteStateSpace,
+    Gain,
+    MultiportSwitch,
+    Noise,
+    Polynomial,
+    Ramp,
+    UniformNoise,
+    ZeroOrderHold,
+)
+from twodof.errors import DiagramError
+from twodof.slx.matlab import evaluate, names_in
+from twodof.slx.matlab_function import MatlabFunction
+from twodof.slx.matlab_values import as_array
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, passes
+
+Next = Callable[..., Any]
+"""Next value of a state, of the time, the inputs and the states."""
+
+
+class Formula(Block):
+    """y = of(t, inputs, states), element by element; t is the time [s].
+
+    `states` are {name: (initial value, function of the next one)}: of each element one. A state is real, or bool or
+    int32 where its initial value is.
+    """
+
+    def __init__(
+        self,
+        of: Callable[..., Any],
+        inputs: Sequence[Signal],
+        output: Signal,
+        states: Mapping[str, tuple[Any, Next]] | None = None,
+    ) -> None:
+        self.of, self.nexts = of, {name: after for name, (_, after) in (states or {}).items()}
+        self.inputs = [Port(f"u{k}", one.kind, output.width) for k, one in enumerate(inputs, start=1)]
+        self.outputs = [Port("y", output.kind, output.width)]
+        self.states = [
+            State(name, start, _KINDS[type(start)], output.width) for name, (start, _) in (states or {}).items()
+        ]
+
+    def _each(self, of: Next, u: Any, x: Any, t: Clock) -> Any:
+        values = [*(u[port.name] for port in self.inputs), *(x[state.name] for state in self.states)]
+        return elementwise(lambda *v: of(t.time, *v), *values) if values else of(t.time)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Compute the formula."""
+        return self._each(self.of, u, x, t)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Compute the next states."""
+        return {name: self._each(after, u, x, t) for name, after in self.nexts.items()}
+
+
+_KINDS: dict[type, str] = {float: "real", bool: "bool", int: "int32"}
+
+
+def formula(c: Asked, of: Callable[..., Any], kind: str = "real", **states: tuple[Any, Next]) -> Made:
+    """Return the block of a formula with as many inputs as the Simulink block has."""
+    output = Signal(kind, c.width)
+    return Made(Formula(of, c.inputs, output, states), [output])
+
+
+def _within(low: Any, high: Any, value: Any, below: Any, above: Any) -> Any:
+    """Return `value`, or what is wanted above or below the limits; the upper limit is looked at first."""
+    return where(value > high, above, where(value < low, below, value))
+
+
+def _detect(compare: Callable[[Any, Any], Any]) -> Rule:
+    """Compare the input with that of the sample before."""
+
+    def rule(c: Asked) -> Made:
+        c.kind("real")
+        return formula(c, lambda t, u, x: compare(u, x), "bool", x=(c.scalar("vinit", "0"), lambda t, u, x: u))
+
+    return rule
+
+
+def _becomes(true: Callable[[Any], Any]) -> Rule:
+    """Say where a condition of the input is true, and was not before."""
+
+    def rule(c: Asked) -> Made:
+        start = bool(c.scalar("vinit", "0"))
+        return formula(c, lambda t, u, x: true(u) & ~x, "bool", x=(start, lambda t, u, x: true(u)))
+
+    return rule
+
+
+def _interval(c: Asked) -> Made:
+    low, high = c.scalar("lowlimit", "-0.5"), c.scalar("uplimit", "0.5")
+    left, right = (c.text(f"IntervalClosed{side}", "on") == "on" for side in ("Left", "Right"))
+    return formula(c, lambda t, u: (low <= u if left else low < u) & (u <= high if right else u < high), "bool")
+
+
+def _rate_limiter(c: Asked) -> Made:
+    """Limit the change since the output before. One of continuous time begins at its input."""
+    rise, fall = c.scalar("RisingSlewLimit", "1") * c.dt, c.scalar("FallingSlewLimit", "-1") * c.dt
+    start = c.scalar("InitialCondition", "0")
+    begins = c.text("SampleTimeMode", "continuous") == "continuous"
+
+    def limited(t: Any, u: Any, x: Any, begun: Any) -> Any:
+        y = where(u - x > rise, x + rise, where(u - x < fall, x + fall, u))
+        return where(begun, y, u)
+
+    return formula(c, limited, x=(start, limited), begun=(not begins, lambda t, u, x, begun: True | begun))
+
+
+def _rate_limiter_dynamic(c: Asked) -> Made:
+    def limited(t: Any, up: Any, u: Any, low: Any, x: Any) -> Any:
+        high, least = up * c.dt, low * c.dt
+        return _within(least, high, u - x, least, high) + x
+
+    return formula(c, limited, x=(0.0, limited))
+
+
+def _friction(c: Asked) -> Made:
+    offset, gain = c.scalar("offset", "[1 3 2 0]"), c.scalar("gain", "1")
+
+    def of(t: Any, u: Any) -> Any:
+        return where(u > 0.0, 1.0, where(u < 0.0, -1.0, 0.0)) * (gain * abs(u) + offset)
+
+    return formula(c, of)
+
+
+def _quantizer(c: Asked) -> Made:
+    step = c.scalar("QuantizationInterval", "0.5")
+
+    def of(t: Any, u: Any) -> Any:
+        scaled = u / step  # halves go away from 0
+        return where(scaled < 0.0, -floor(0.5 - scaled), floor(scaled + 0.5)) * step
+
+    return formula(c, of)
+
+
+def _backlash(c: Asked) -> Made:
+    half = c.scalar("BacklashWidth", "1") / 2.0
+
+    def of(t: Any, u: Any, x: Any) -> Any:
+        return where(u < x - half, u + half, where(u <= x + half, x, u - half))
+
+    return formula(c, of, x=(c.scalar("InitialOutput", "0"), of))
+
+
+def _derivative(c: Asked) -> Made:
+    """Return the slope since the sample before, 0 in the first."""
+    if c.block.type == "Derivative":
+        c.notes.append("the slope is that since the sample before, also inside a step")
+    return formula(
+        c,
+        lambda t, u, x, begun: where(begun, (u - x) / c.dt, 0.0),
+        x=(0.0, lambda t, u, x, begun: u),
+        begun=(False, lambda t, u, x, begun: True | begun),
+    )
+
+
+def _pole(c: Asked) -> Made:
+    """Return one of the transfer functions of first order: a lag, a lead or lag, a zero."""
+    pole, zero = c.scalar("PoleZ", "0.95"), c.scalar("ZeroZ", "0.75")
+    if "First Order" in c.block.kind:
+        y = lambda t, u, x: (1.0 - pole) * u + pole * x  # noqa: E731
+        return formula(c, y, x=(c.scalar("ICPrevOutput", "0.0"), y))
+    if "Real Zero" in c.block.kind:
+        return formula(c, lambda t, u, x: u - zero * x, x=(c.scalar("ICPrevInput", "0.0"), lambda t, u, x: u))
+    lead = lambda t, u, x, v: (pole * x - zero * v) + u  # noqa: E731
+    before = (c.scalar("ICPrevInput", "0.0"), lambda t, u, x, v: u)
+    return formula(c, lead, x=(c.scalar("ICPrevOutput", "0.0"), lead), v=before)
+
+
+def _first(c: Asked) -> Made:
+    start = c.scalar("Value", "1")
+    return formula(c, lambda t, u, begun: where(begun, u, start), begun=(False, lambda t, u, begun: True | begun))
+
+
+def _wrap(c: Asked) -> Made:
+    most = c.scalar("Threshold", "255")
+    return formula(c, lambda t, u: where(u > most, 0.0, u))
+
+
+def _enabled_delay(c: Asked) -> Made:
+    start = c.scalar("vinit", "0.0")
+    if c.inputs[1].kind != "bool":
+        raise NotTranslated("its enable is not boolean")
+    return formula(c, lambda t, u, on, x: x, x=(start, lambda t, u, on, x: where(on, u, x)))
+
+
+class TappedDelay(Block):
+    """y is the last inputs of a signal: `samples` of them, the oldest first, or the newest; with the present one."""
+
+    def __init__(self, samples: int, initial: float, newest_first: bool, present: bool) -> None:
+        self.samples, self.newest_first, self.present = samples, newest_first, present
+        self.inputs = [Port("u")]
+        self.outputs = [Port("y", width=samples + present)]
+        self.states = [State("x", initial, width=samples)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Return the inputs in their order."""
+        taps = [*(x.x[k] for k in range(self.samples)), *([u.u] if self.present else [])]
+        return vector(taps[::-1] if self.newest_first else taps)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Drop the oldest one."""
+        return vector([*(x.x[k] for k in range(1, self.samples)), u.u])
+
+
+def _tapped(c: Asked) -> Made:
+    if c.width is not None:
+        raise NotTranslated("a delay of a vector is not translated")
+    samples, present = int(c.scalar("NumDelays", "4")), c.text("includeCurrent", "off") == "on"
+    item = TappedDelay(samples, c.scalar("vinit", "0.0"), c.text("DelayOrder", "Oldest") == "Newest", present)
+    return Made(item, [Signal("real", samples + present)], expand=False)
+
+
+# --- sources
+
+
+def _pulse(c: Asked) -> Made:
+    samples = c.needs("PulseType", "Time based", "Time based", "Sample based") == "Sample based"
+    amplitude, period, width = c.scalar("Amplitude", "1"), c.scalar("Period", "10"), c.scalar("PulseWidth", "5")
+    delay = c.scalar("PhaseDelay", "0")
+    if not samples:  # width is in % of the period
+        period, width, delay = period / c.dt, period * width / 100.0 / c.dt, delay / c.dt
+        if max(abs(one - round(one)) for one in (period, width, delay)) > 1e-6:
+            c.notes.append("period, width and delay are rounded to samples")
+    most, on = round(period), round(width)
+    return formula(
+        c,
+        lambda t, k: where((k < on) & (k >= 0), amplitude, 0.0),
+        k=(-round(delay), lambda t, k: where(k >= most - 1, int32(0), k + 1)),
+    )
+
+
+def _sine(c: Asked) -> Made:
+    values = [c.value(name, default).flatten() for name, default in _SINE]
+    width = max(one.size for one in values)
+    if any(one.size not in (1, width) for one in values):
+        raise NotTranslated("its parameters differ in size")
+    rows = [[float(one[min(k, one.size - 1)]) for one in values] for k in range(width)]
+    timed = c.needs("SineType", "Time based", "Time based", "Sample based") == "Time based"
+    c.needs("TimeSource", "Use simulation time", "Use simulation time")
+    if not timed:
+        samples, offset = c.scalar("Samples", "10"), c.scalar("Offset", "0")
+        turns = 2.0 * math.pi / samples
+        rows = [[row[0], row[1], turns / c.dt, turns * offset] for row in rows]
+    c.notes.append("sin is the language's own: within 2.5 units in the last place of the C library's")
+
+    def of(t: Any) -> Any:
+        found = [sin(frequency * t + phase) * amplitude + bias for amplitude, bias, frequency, phase in rows]
+        return found[0] if width == 1 else vector(found)
+
+    output = Signal("real", None if width == 1 else width)
+    return Made(Formula(of, [], output), [output])
+
+
+_SINE = (("Amplitude", "1"), ("Bias", "0"), ("Frequency", "1"), ("Phase", "0"))
+
+
+def _generator(c: Asked) -> Made:
+    form = c.needs("WaveForm", "sine", "sine", "square", "sawtooth")
+    amplitude, frequency = c.scalar("Amplitude", "1"), c.scalar("Frequency", "1")
+    hertz = frequency if c.text("Units", "Hertz") == "Hertz" else frequency / (2.0 * math.pi)
+    if form == "sine":
+        c.notes.append("sin is the language's own: within 2.5 units in the last place of the C library's")
+        return formula(c, lambda t: sin(2.0 * math.pi * hertz * t) * amplitude)
+    if form == "square":
+        return formula(c, lambda t: where(1.0 - (hertz * t - floor(hertz * t)) >= 0.5, amplitude, -amplitude))
+    return formula(c, lambda t: (hertz * t - floor(hertz * t)) * (2.0 * amplitude) - amplitude)
+
+
+def _sequence(c: Asked) -> Made:
+    """Interpolate between points of time, again and again."""
+    times, values = (c.value(name, "[0 2]").flatten().tolist() for name in ("rep_seq_t", "rep_seq_y"))
+    if len(times) != len(values) or len(times) < 2 or sorted(set(times)) != times:
+        raise NotTranslated("its times do not increase, or are not as many as its values")
+    d = Diagram("sequence")
+    length = times[-1] - times[0]
+    d.add("time", Formula(lambda t: (t - floor(t / length) * length) + times[0], [], Signal()))
+    d.add("value", LookupTable([times], [float(v) for v in values], "linear", clip=False), u1="time.y")
+    d.output("y", "value")
+    return Made(d, [Signal()])
+
+
+def _stairs(c: Asked) -> Made:
+    values = [float(v) for v in c.value("OutValues", "[3 1 4 2 1]'").flatten()]
+
+    def of(t: Any, k: Any) -> Any:
+        y: Any = values[-1]
+        for number in range(len(values) - 1, 0, -1):
+            y = where(k < number, values[number - 1], y)
+        return y
+
+    return formula(c, of, k=(0, lambda t, k: where(k >= len(values) - 1, int32(0), k + 1)))
+
+
+def _counter(c: Asked) -> Made:
+    bits = int(c.scalar("NumBits", "16")) if "Free" in c.block.kind else 0
+    most = 2**bits - 1 if bits else int(c.scalar("uplimit", "7"))
+    if most >= 2**31:
+        raise NotTranslated("a counter beyond 31 bits is not translated")
+    kind = next(kind for kind, top in (("uint8", 2**8), ("uint16", 2**16), ("uint32", 2**32)) if most < top)
+    after = (0, lambda t, k: where(k >= most, int32(0), k + 1))
+    return formula(c, lambda t, k: to_uint32(k) if kind == "uint32" else to_stored(k, kind, "wrap"), kind, k=after)
+
+
+def _white_noise(c: Asked) -> Made:
+    c.notes.append("other random numbers of the same distribution")
+    deviation = math.sqrt(c.scalar("Cov", "[0.1]") / c.scalar("Ts", "0.1"))
+    return Made(Noise(deviation, 0.0, *_seed(c, "seed", "[23341]")), [Signal()])
+
+
+def _uniform(c: Asked) -> Made:
+    c.notes.append("other random numbers of the same distribution")
+    low, high = c.scalar("Minimum", "-1"), c.scalar("Maximum", "1")
+    return Made(UniformNoise(low, high, *_seed(c, "Seed", "0")), [Signal()])
+
+
+def _seed(c: Asked, name: str, default: str) -> tuple[int, int]:
+    return int(c.scalar(name, default)) % 2**32, zlib.crc32(f"{c.path}/{c.block.name}".encode())
+
+
+# --- choices, tables and expressions
+
+
+def _manual_switch(c: Asked) -> Made:
+    chosen = 0 if c.text("sw", c.text("CurrentSetting", "1")) == "1" else 1
+    d = Diagram("switch")
+    for k, one in enumerate(c.inputs):
+        d.input(f"u{k + 1}", one.kind, one.width)
+    one = c.inputs[chosen]
+    d.add("chosen", ZeroOrderHold(one.kind, one.width), u=f"u{chosen + 1}")
+    d.output("y", "chosen")
+    return Made(d, [one], expand=False)
+
+
+def _multiport(c: Asked) -> Made:
+    """Return a choice by number; what is no number of an input takes the last one, or the one for it."""
+    control, data = c.inputs[0], c.inputs[1:]
+    if len(data) < 2 or control.width is not None or control.kind == "bool" or len({one.kind for one in data}) > 1:
+        raise NotTranslated("it has one data input, inputs of several types, or a control that is no number")
+    c.inputs, kind = data, data[0].kind
+    order = c.needs("DataPortOrder", "One-based contiguous", *_ORDERS)
+    extra = c.text("DataPortForDefault", "Last data port") == "Additional data port"
+    named = len(data) - extra
+    numbers = [list(range(k, k + 1)) for k in range(_ORDERS[order], _ORDERS[order] + named)]
+    if order == "Specify indices":
+        try:
+            cells = evaluate(c.text("DataPortIndices", "{1,2,3}"), c.names)
+        except DiagramError as reason:
+            raise NotTranslated(f"parameter DataPortIndices: {reason.what}") from None
+        numbers = [[int(n) for n in as_array(one).flatten()] for one in cells]
+
+    def of(t: Any, u: Any) -> Any:
+        whole, place = to_int32(trunc(u) if control.kind == "real" else u), int32(len(data) - 1)
+        for k, values in enumerate(numbers):
+            for value in values:
+                place = where(whole == value, int32(k), place)
+        return place
+
+    d, switch = Diagram("choice"), MultiportSwitch(len(data), kind, c.width)
+    d.input("u1", control.kind)
+    d.add("place", Formula(of, [control], Signal("int32")), u1="u1")
+    d.add("y", switch, index="place.y")
+    for k, (one, name) in enumerate(zip(data, switch.names, strict=True), start=2):
+        d.input(f"u{k}", kind, one.width)
+        d.connect(expanded(d, f"u{k}", one, c.width), f"y.{name}")
+    d.output("y", "y")
+    return Made(d, [Signal(kind, c.width)], expand=False)
+
+
+_ORDERS = {"One-based contiguous": 1, "Zero-based contiguous": 0, "Specify indices": 0}
+
+
+class LookupTable(Block):
+    """y of a table at u1, u2, ...: `method` "linear", "flat" (the point below) or "nearest".
+
+    The breakpoints increase; the table has the first dimension's points side by side. With `clip` u is held within
+    the ends. It is interpolated along the first dimension, then along the next, as (right - left) share + left.
+    """
+
+    def __init__(self, points: Sequence[Sequence[float]], table: Sequence[float], method: str, clip: bool) -> None:
+        self.sizes, self.method, self.clip = [len(one) for one in points], method, clip
+        self.inputs = [Port(f"u{k}") for k in range(1, len(points) + 1)]
+        self.outputs = [Port("y")]
+        self.params = [Param(f"points{k}", list(one), width=len(one)) for k, one in enumerate(points, start=1)]
+        self.params += [Param("table", list(table), width=len(table))]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Look up."""
+        places, shares = [], []
+        for k, size in enumerate(self.sizes, start=1):
+            value, points = u[f"u{k}"], p[f"points{k}"]
+            i = search(points, size, value)
+            share = (value - points[i]) / (points[i + 1] - points[i])
+            if self.clip or self.method != "linear":
+                share = where(value <= points[0], 0.0, where(value < points[size - 1], share, 1.0))
+            if self.method != "linear":
+                i = where(share >= (0.5 if self.method == "nearest" else 1.0), i + 1, i)
+            places.append(i)
+            shares.append(share)
+
+        def at(level: int, offset: Any) -> Any:
+            if level < 0:
+                return p.table[offset]
+            stride = math.prod(self.sizes[:level])
+            here = places[level] * stride + offset if stride > 1 else places[level] + offset
+            left = at(level - 1, here)
+            if self.method != "linear":
+                return left
+            right = at(level - 1, here + stride)
+            return (right - left) * shares[level] + left
+
+        return at(len(self.sizes) - 1, int32(0))
+
+
+def _lookup(c: Asked) -> Made:
+    methods = {
+        "Linear point-slope": "linear",
+        "Linear": "linear",
+        "Linear interpolation": "linear",
+        "None - Flat": "flat",
+    }
+    method = c.pick("InterpMethod", "Linear point-slope", methods | {"Flat": "flat", "Nearest": "nearest"})
+    clip = c.pick("ExtrapMethod", "Linear", {"Clip": True, "None - Clip": True, "Linear": False})
+    count = int(c.scalar("NumberOfTableDimensions", "1"))
+    table, points = c.value("Table", "tanh([-5:5])"), []
+    sizes = [table.size] if count == 1 else list(table.shape)
+    if count > 2 or len(c.inputs) != count:
+        raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
+    for k, size in enumerate(sizes, start=1):
+        if c.text("BreakpointsSpecification", "Explicit values") == "Even spacing":
+            first, step = (c.scalar(f"BreakpointsForDimension{k}{end}", "1") for end in ("FirstPoint", "Spacing"))
+            points.append([first + step * n for n in range(size)])
+        else:
+            points.append(c.value(f"BreakpointsForDimension{k}", "[-5:5]").flatten().tolist())
+    return _table(c, points, table.flatten(order="F").tolist(), method, clip)
+
+
+def _older_lookup(c: Asked) -> Made:
+    known = {"Interpolation-Extrapolation": ("linear", False), "Interpolation-Use End Values": ("linear", True),
+             "Use Input Nearest": ("nearest", True), "Use Input Below": ("flat", True)}  # fmt: skip
+    method, clip = c.pick("LookUpMeth", "Interpolation-Extrapolation", known)
+    names = ("RowIndex", "ColumnIndex") if c.block.type == "Lookup2D" else ("InputValues",)
+    table = c.value("Table" if "Table" in c.values or len(names) > 1 else "OutputValues", "tanh([-5:5])")
+    points = [c.value(name, "[-5:5]").flatten().tolist() for name in names]
+    return _table(c, points, table.flatten(order="F").tolist(), method, clip)
+
+
+def _table(c: Asked, points: list[list[float]], table: list[float], method: str, clip: bool) -> Made:
+    if math.prod(map(len, points)) != len(table) or min(map(len, points)) < 2:
+        raise NotTranslated("Table and breakpoints differ in size, or have one point")
+    if any(sorted(set(one)) != one for one in points):
+        raise NotTranslated("breakpoints do not increase")
+    c.kind("real")
+    block = LookupTable(points, [float(v) for v in table], method, clip)
+    if c.width is None:
+        return Made(block, [Signal()])
+    raise NotTranslated("a table of a vector is not translated")
+
+
+def _expression(c: Asked) -> Made:
+    """Return an expression of u; the names of the workspace in it are its constants."""
+    text = c.text("Expr", c.text("MATLABFcn", "sin(u)"))
+    text = re.sub(r"\bu\[(\d+)\]", r"u(\1)", text)
+    text = text if re.search(r"\bu\b", text) else f"{text}(u)"
+    known = [name for name in names_in(text) if name in c.names and name != "u"]
+    c.kind("real")
+    item = MatlabFunction(f"function y = f({', '.join(['u', *known])})\ny = {text};", [c.width], c.names)
+    return Made(item, [Signal("real", item.outputs[0].width)], expand=False)
+
+
+def _one_input(of: Callable[..., Any]) -> Rule:
+    return lambda c: formula(c, lambda t, *u: of(*u)) if c.kind("real") else passes(c)
+
+
+def _discrete_state_space(c: Asked) -> Made:
+    a, b, cc, d = (c.value(name, default) for name, default in zip("ABCD", "1111", strict=True))
+    start = c.value("InitialCondition" if "InitialCondition" in c.values else "X0", "0").flatten().tolist()
+    c.kind("real")
+    if b.shape[1] != (c.width or 1) or d.shape != (cc.shape[0], b.shape[1]):
+        raise NotTranslated(f"B has {b.shape[1]} columns, D {d.shape}, and the input {c.width or 1} elements")
+    initial = start if len(start) > 1 else start[0]
+    item = DiscreteStateSpace(a.tolist(), b.tolist(), cc.tolist(), d.tolist(), initial)
+    return Made(item, [Signal("real", None if cc.shape[0] == 1 else cc.shape[0])])
+
+
+COMPOSITE_RULES: dict[str, Rule] = {
+    "Backlash": _backlash,
+    "Band-Limited White Noise": _white_noise,
+    "Coulomb & Viscous Friction": _friction,
+    "Counter Free-Running": _counter,
+    "Counter Limited": _counter,
+    "Dead Zone Dynamic": _one_input(lambda up, u, low: where(u > up, u - up, where(u < low, u - low, 0.0))),
+    "Degrees to Radians": lambda c: Made(Gain(math.pi / 180.0, c.width), [Signal("real", c.width)]),
+    "Derivative": _derivative,
+    "Detect Change": _detect(lambda u, x: u != x),
+    "Detect Decrease": _detect(lambda u, x: u < x),
+    "Detect Fall Negative": _becomes(lambda u: u < 0.0),
+    "Detect Fall Nonpositive": _becomes(lambda u: u <= 0.0),
+    "Detect Increase": _detect(lambda u, x: u > x),
+    "Detect Rise Nonnegative": _becomes(lambda u: u >= 0.0),
+    "Detect Rise Positive": _becomes(lambda u: u > 0.0),
+    "Difference": lambda c: formula(c, lambda t, u, x: u - x, x=(c.scalar("ICPrevInput", "0.0"), lambda t, u, x: u)),
+    "DiscretePulseGenerator": _pulse,
+    "DiscreteStateSpace": _discrete_state_space,
+    "Fcn": _expression,
+    "InitialCondition": _first,
+    "Interval Test": _interval,
+    "Lookup": _older_lookup,
+    "Lookup2D": _older_lookup,
+    "Lookup_n-D": _lookup,
+    "MATLABFcn": _expression,
+    "ManualSwitch": _manual_switch,
+    "MultiPortSwitch": _multiport,
+    "Polyval": lambda c: Made(Polynomial(c.value("coefs", "[1 2 3]").flatten().tolist()), [Signal()]),
+    "Quantizer": _quantizer,
+    "Radians to Degrees": lambda c: Made(Gain(180.0 / math.pi, c.width), [Signal("real", c.width)]),
+    "Ramp": lambda c: Made(
+        Ramp(c.scalar("start", "0"), c.scalar("slope", "1"), c.scalar("InitialOutput", c.text("X0", "0"))), [Signal()]
+    ),
+    "Rate Limiter Dynamic": _rate_limiter_dynamic,
+    "RateLimiter": _rate_limiter,
+    "Repeating Sequence": _sequence,
+    "Repeating Sequence Stair": _stairs,
+    "Saturation Dynamic": _one_input(lambda up, u, low: where(u > up, up, where(u < low, low, u))),
+    "SignalConversion": passes,
+    "SignalGenerator": _generator,
+    "Sin": _sine,
+    "Slider Gain": lambda c: Made(Gain(c.scalar("gain", "1"), c.width), [Signal("real", c.width)]),
+    "Tapped Delay": _tapped,
+    "Transfer Fcn First Order": _pole,
+    "Transfer Fcn Lead or Lag": _pole,
+    "Transfer Fcn Real Zero": _pole,
+    "UniformRandomNumber": _uniform,
+    "Unit Delay Enabled": _enabled_delay,
+    "Wrap To Zero": _wrap,
+}
+"""Rule of each of these, by block type or by the library block's name."""
+SHOWN = (
+    "XY Graph", "Floating Scope", "Assertion", "MessageViewer", "SpectrumAnalyzer", "VideoViewer", "Record", "DocBlock",
+    "Model Info", "Check Static Lower Bound", "Check Static Upper Bound", "Check Static Range", "Check Dynamic Range",
+    "Check Dynamic Lower Bound", "Check Dynamic Upper Bound", "Check Discrete Gradient", "Check Input Resolution",
+    "ComboBox", "SliderBlock", "PushButtonBlock", "EditField", "RadioButtonGroup", "ToggleSwitchBlock", "LampBlock",
+    "SliderSwitchBlock", "RotarySwitchBlock", "RockerSwitchBlock", "KnobBlock", "DashboardScope", "Checkbox",
+    "CallbackButton", "DisplayBlock", "MultiStateImageBlock", "LinearGaugeBlock", "HalfGaugeBlock", "QuarterGaugeBlock",
+    "AirspeedIndicatorBlock", "ArtificialHorizonBlock", "AltimeterBlock", "HeadingIndicatorBlock",
+    "RPMIndicatorBlock", "ClimbIndicatorBlock", "EGTIndicatorBlock", "TurnCoordinatorBlock", "CircularGaugeBlock",
+)  # fmt: skip
+"""Blocks that show or check signals, and those of a dashboard."""

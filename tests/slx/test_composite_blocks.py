@@ -1,0 +1,279 @@
+"""Simulink's smaller blocks and those of its own libraries, beside their definitions computed in numpy."""
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.slx.files import Blocks, model_of, slx
+from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.compile import build
+from twodof.slx.importer import Imported, import_system
+from twodof.slx.model import read_model
+
+pytestmark = pytest.mark.slow
+DT = 0.01
+STEPS = 250
+DRAWN = np.random.default_rng(6).normal(0.0, 2.0, (3, STEPS)).round(2)
+TIME = np.arange(STEPS) * DT
+Wanted = Callable[..., np.ndarray]
+
+
+def one_block(tmp_path: Path, kind: str, values: dict[str, str], kinds: tuple[str, ...]) -> Imported:
+    """Import a block with inputs of these data types; a name with "/" is a block of a library."""
+    if "/" in kind:
+        kind, values = "Reference", {"SourceBlock": kind, **values}
+    ports: Blocks = [
+        ("Inport", f"u{k}", {"Port": str(k), "OutDataTypeStr": one}) for k, one in enumerate(kinds, start=1)
+    ]
+    blocks: Blocks = [*ports, (kind, "block", {"Ports": f"[{len(kinds)}, 1]", **values}), ("Outport", "y", {})]
+    lines = [*((f"u{k}", f"block:{k}") for k in range(1, len(kinds) + 1)), ("block", "y")]
+    return import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
+
+
+def run(found: Imported, inputs: list[np.ndarray]) -> np.ndarray:
+    assert found.diagram is not None, found.refused
+    given = {f"u{k}": one for k, one in enumerate(inputs, start=1)}
+    built = build(from_json(to_json(found.diagram)), dt=found.dt)
+    return built.machine().run(STEPS, given)["y"]
+
+
+def recurrent(step: Callable[..., tuple[float, object]], start: object) -> Wanted:
+    """What a function of inputs and state gives, sample after sample."""
+
+    def wanted(*inputs: np.ndarray) -> np.ndarray:
+        state, found = start, []
+        for row in zip(*inputs, strict=True):
+            y, state = step(*row, state)
+            found.append(y)
+        return np.array(found)
+
+    return wanted
+
+
+def before(u: np.ndarray, start: float = 0.0) -> np.ndarray:
+    return np.r_[start, u[:-1]]
+
+
+def again(value: float) -> tuple[float, float]:
+    return value, value
+
+
+def away(u: np.ndarray) -> np.ndarray:
+    return np.sign(u) * np.floor(abs(u) + 0.5)
+
+
+LOGIC = "simulink/Logic and Bit Operations"
+EDGES = "simulink/Discontinuities"
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "count", "wanted"),
+    [
+        (f"{LOGIC}/Detect Change", {"vinit": "1"}, 1, lambda u: u != before(u, 1.0)),
+        (f"{LOGIC}/Detect Increase", {}, 1, lambda u: u > before(u)),
+        (f"{LOGIC}/Detect Decrease", {}, 1, lambda u: u < before(u)),
+        (f"{LOGIC}/Detect Rise Positive", {}, 1, lambda u: (u > 0) & ~(before(u) > 0)),
+        (f"{LOGIC}/Detect Rise Nonnegative", {"vinit": "1"}, 1, lambda u: (u >= 0) & ~(before(u) >= 0)),
+        (f"{LOGIC}/Detect Fall Negative", {}, 1, lambda u: (u < 0) & ~(before(u) < 0)),
+        (f"{LOGIC}/Detect Fall Nonpositive", {"vinit": "1"}, 1, lambda u: (u <= 0) & ~(before(u) <= 0)),
+        (f"{LOGIC}/Interval Test", {"uplimit": "1", "IntervalClosedRight": "off"}, 1, lambda u: (u >= -0.5) & (u < 1)),
+        (f"{EDGES}/Saturation Dynamic", {}, 3, lambda a, u, b: np.where(u > a, a, np.where(u < b, b, u))),
+        (f"{EDGES}/Dead Zone Dynamic", {}, 3, lambda a, u, b: np.where(u > a, u - a, np.where(u < b, u - b, 0.0))),
+        (f"{EDGES}/Wrap To Zero", {"Threshold": "1"}, 1, lambda u: np.where(u > 1, 0, u)),
+        (
+            f"{EDGES}/Coulomb & Viscous Friction",
+            {"offset": ".5", "gain": "3"},
+            1,
+            lambda u: np.sign(u) * (3 * abs(u) + 0.5),
+        ),
+        (
+            f"{EDGES}/Rate Limiter Dynamic",
+            {},
+            3,
+            recurrent(lambda a, u, b, y: again((a * DT if u - y > a * DT else max(b * DT, u - y)) + y), 0.0),
+        ),
+        (
+            "RateLimiter",
+            {"RisingSlewLimit": "2", "FallingSlewLimit": "-3", "SampleTimeMode": "inherited"},
+            1,
+            recurrent(lambda u, y: again(y + 0.02 if u - y > 0.02 else y - 0.03 if u - y < -0.03 else u), 0.0),
+        ),
+        ("Quantizer", {"QuantizationInterval": ".5"}, 1, lambda u: away(u / 0.5) * 0.5),
+        (
+            "Backlash",
+            {"BacklashWidth": "1", "InitialOutput": "2"},
+            1,
+            recurrent(lambda u, y: again(u + 0.5 if u < y - 0.5 else y if u <= y + 0.5 else u - 0.5), 2.0),
+        ),
+        ("simulink/Discrete/Difference", {"ICPrevInput": "3"}, 1, lambda u: u - before(u, 3.0)),
+        ("Derivative", {}, 1, lambda u: np.r_[0.0, (u[1:] - u[:-1]) / DT]),
+        ("InitialCondition", {"Value": "5"}, 1, lambda u: np.r_[5.0, u[1:]]),
+        (
+            "simulink/Discrete/Transfer Fcn First Order",
+            {"PoleZ": ".9"},
+            1,
+            recurrent(lambda u, y: again((1 - 0.9) * u + 0.9 * y), 0.0),
+        ),
+        ("simulink/Discrete/Transfer Fcn Real Zero", {"ZeroZ": ".5"}, 1, lambda u: u - 0.5 * before(u)),
+        ("Fcn", {"Expr": "2*u(1)^2 - u[1]"}, 1, lambda u: 2 * u**2 - u),
+        ("ManualSwitch", {"sw": "0"}, 2, lambda a, b: b),
+        ("ManualSwitch", {"sw": "1"}, 2, lambda a, b: a),
+        ("simulink_extras/Transformations/Degrees to Radians", {}, 1, lambda u: np.pi / 180 * u),
+        ("simulink/Math Operations/Slider Gain", {"gain": "3"}, 1, lambda u: 3 * u),
+        ("Logic", {"Operator": "AND"}, 2, lambda a, b: (a != 0) & (b != 0)),
+        (
+            "MultiPortSwitch",
+            {"Inputs": "2"},
+            3,
+            lambda n, a, b: np.where(np.trunc(n) == 1, a, b),
+        ),
+        (
+            "MultiPortSwitch",
+            {"Inputs": "2", "DataPortOrder": "Specify indices", "DataPortIndices": "{[-1 2],3}"},
+            3,
+            lambda n, a, b: np.where(np.isin(np.trunc(n), [-1, 2]), a, b),
+        ),
+    ],
+)
+def test_a_block_is_its_definition(
+    tmp_path: Path, kind: str, values: dict[str, str], count: int, wanted: Wanted
+) -> None:
+    found = one_block(tmp_path, kind, values, ("double",) * count)
+    given = list(DRAWN[:count])
+    if "Limiter Dynamic" in kind:
+        given = [abs(given[0]) * 20, given[1], -abs(given[2]) * 20]
+    assert np.array_equal(run(found, given), wanted(*given))
+
+
+TABLE = np.array([[1.0, 2.5, 0.3, 4.0], [2.0, -1.0, 6.0, 0.7], [0.1, 3.0, 5.0, -2.0]])
+ROWS, COLUMNS = np.array([-1.0, 0.5, 2.0]), np.array([-2.0, -1.0, 0.0, 3.0])
+
+
+def look(table: np.ndarray, points: list[np.ndarray], at: tuple[float, ...], method: str, clip: bool) -> float:
+    """The value of a table, along its first dimension first, as MathWorks' look1_ and look2_ functions have it."""
+    places, shares = [], []
+    for value, grid in zip(at, points, strict=True):
+        i = min(max(int(np.searchsorted(grid, value, "right")) - 1, 0), len(grid) - 2)
+        share = (value - grid[i]) / (grid[i + 1] - grid[i])
+        if clip:
+            share = 0.0 if value <= grid[0] else share if value < grid[-1] else 1.0
+        places.append(i)
+        shares.append(share)
+    if method == "flat":
+        places = [i + (share >= 1.0) for i, share in zip(places, shares, strict=True)]
+        return float(table[tuple(places)])
+
+    def between(left: float, right: float, share: float) -> float:
+        return (right - left) * share + left
+
+    if table.ndim == 1:
+        return between(table[places[0]], table[places[0] + 1], shares[0])
+    (i, j), (a, b) = places, shares
+    return between(between(table[i, j], table[i + 1, j], a), between(table[i, j + 1], table[i + 1, j + 1], a), b)
+
+
+@pytest.mark.parametrize("clip", [True, False])
+@pytest.mark.parametrize("method", ["linear", "flat"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_table_is_looked_up_as_mathworks_code_does(tmp_path: Path, count: int, method: str, clip: bool) -> None:
+    values = {
+        "NumberOfTableDimensions": str(count),
+        "Table": "[1 2.5 .3 4; 2 -1 6 .7; .1 3 5 -2]" if count == 2 else "[1 2.5 .3 4]",
+        "BreakpointsForDimension1": "[-1 .5 2]" if count == 2 else "[-2 -1 0 3]",
+        "BreakpointsForDimension2": "[-2 -1 0 3]",
+        "InterpMethod": "Linear point-slope" if method == "linear" else "Flat",
+        "ExtrapMethod": "Clip" if clip else "Linear",
+    }
+    found = run(one_block(tmp_path, "Lookup_n-D", values, ("double",) * count), list(DRAWN[:count]))
+    table, points = (TABLE, [ROWS, COLUMNS]) if count == 2 else (TABLE[0], [COLUMNS])
+    held = clip or method == "flat"
+    wanted = [look(table, points, tuple(row), method, held) for row in DRAWN[:count].T]
+    assert np.array_equal(found, wanted)
+
+
+def test_older_tables_and_even_breakpoints_are_read(tmp_path: Path) -> None:
+    older = {"InputValues": "[-2 -1 0 3]", "Table": "[1 2.5 .3 4]", "LookUpMeth": "Interpolation-Use End Values"}
+    even = {"BreakpointsSpecification": "Even spacing", "BreakpointsForDimension1FirstPoint": "-1",
+            "BreakpointsForDimension1Spacing": ".5", "ExtrapMethod": "Clip", "Table": "[1 2 4 3]"}  # fmt: skip
+    u = DRAWN[0]
+    assert np.array_equal(
+        run(one_block(tmp_path, "Lookup", older, ("double",)), [u]),
+        [look(TABLE[0], [COLUMNS], (v,), "", True) for v in u],
+    )
+    grid = np.array([-1.0, -0.5, 0.0, 0.5])
+    assert np.array_equal(
+        run(one_block(tmp_path, "Lookup_n-D", even, ("double",)), [u]),
+        [look(np.array([1.0, 2.0, 4.0, 3.0]), [grid], (v,), "", True) for v in u],
+    )
+
+
+def square(turns: np.ndarray) -> np.ndarray:
+    return np.where(1.0 - (turns - np.floor(turns)) >= 0.5, 1.0, -1.0)
+
+
+def sample(values: list[float]) -> np.ndarray:
+    return np.resize(np.array(values), STEPS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "wanted"),
+    [
+        (
+            "DiscretePulseGenerator",
+            {"PulseType": "Sample based", "Period": "5", "PulseWidth": "2", "PhaseDelay": "3", "Amplitude": "4"},
+            np.r_[0.0, 0.0, 0.0, sample([4.0, 4.0, 0.0, 0.0, 0.0])[:-3]],
+        ),
+        ("DiscretePulseGenerator", {"Period": ".1", "PulseWidth": "30"}, sample([1.0] * 3 + [0.0] * 7)),
+        ("simulink/Sources/Repeating Sequence Stair", {"OutValues": "[3 1 4]"}, sample([3.0, 1.0, 4.0])),
+        ("simulink/Sources/Counter Free-Running", {"NumBits": "3"}, sample(list(range(8)))),
+        ("simulink/Sources/Counter Limited", {"uplimit": "4"}, sample(list(range(5)))),
+        ("simulink/Sources/Ramp", {"start": ".5", "slope": "2"}, np.where(TIME < 0.5, 0.0, 2 * (TIME - 0.5))),
+        ("SignalGenerator", {"WaveForm": "square", "Frequency": "12.5"}, square(12.5 * TIME)),
+    ],
+)
+def test_a_source_follows_its_clock(tmp_path: Path, kind: str, values: dict[str, str], wanted: np.ndarray) -> None:
+    found = run(one_block(tmp_path, kind, values, ()), [])
+    assert np.allclose(found, wanted, rtol=0.0, atol=1e-12)
+    if "Ramp" not in kind:
+        assert np.array_equal(found, wanted)
+
+
+def test_a_repeating_sequence_and_sines_follow_the_time(tmp_path: Path) -> None:
+    values = {"rep_seq_t": "[0 .3 .4]", "rep_seq_y": "[1 4 0]"}
+    found = run(one_block(tmp_path, "simulink/Sources/Repeating Sequence", values, ()), [])
+    phase = TIME - np.floor(TIME / 0.4) * 0.4
+    assert np.allclose(found, np.interp(phase, [0.0, 0.3, 0.4], [1.0, 4.0, 0.0]), rtol=0.0, atol=1e-12)
+    many = {"Amplitude": "[2 3]", "Frequency": "[5; 7]", "Phase": ".1", "Bias": "1"}
+    found = run(one_block(tmp_path, "Sin", many, ()), [])
+    wanted = np.sin(np.outer(TIME, [5.0, 7.0]) + 0.1) * [2.0, 3.0] + 1.0
+    assert np.allclose(found, wanted, rtol=1e-13, atol=1e-15)
+
+
+def test_a_delay_with_taps_or_an_enable_remembers(tmp_path: Path) -> None:
+    values = {"NumDelays": "3", "vinit": "7", "DelayOrder": "Newest", "includeCurrent": "on"}
+    found = run(one_block(tmp_path, "simulink/Discrete/Tapped Delay", values, ("double",)), [DRAWN[0]])
+    padded = np.r_[[7.0] * 3, DRAWN[0]]
+    assert np.array_equal(found, np.c_[padded[3:], padded[2:-1], padded[1:-2], padded[:-3]])
+    enabled = one_block(tmp_path, "hdlsllib/Discrete/Unit Delay Enabled", {"vinit": "2"}, ("double", "boolean"))
+    on = DRAWN[1] > 0
+    wanted = recurrent(lambda u, e, x: (x, u if e else x), 2.0)(DRAWN[0], on)
+    assert np.array_equal(run(enabled, [DRAWN[0], on]), wanted)
+
+
+def test_a_library_of_the_users_is_not_taken_for_simulinks(tmp_path: Path) -> None:
+    library = '<ModelInformation><Library><System><Block BlockType="Gain" Name="Difference" SID="1">'
+    library += '<P Name="Gain">9</P></Block></System></Library></ModelInformation>'
+    slx({"simulink/blockdiagram.xml": library}, tmp_path / "mine.slx")
+    blocks: Blocks = [
+        ("Inport", "u1", {"OutDataTypeStr": "double"}),
+        ("Reference", "block", {"SourceBlock": "mine/Difference", "Ports": "[1, 1]"}),
+        ("ComboBox", "choice", {}),
+        ("Outport", "y", {}),
+    ]
+    path = model_of(blocks, [*pairwise(["u1", "block", "y"])], tmp_path / "m.slx")
+    found = import_system(read_model(path), "", {}, [tmp_path], DT)
+    assert np.array_equal(run(found, [DRAWN[0]]), 9 * DRAWN[0])
+    assert [line.path for line in found.report if line.status == "dropped"] == ["choice"]
