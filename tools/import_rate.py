@@ -87,7 +87,8 @@ def models(repository: Path) -> list[tuple[Path, list[Path]]]:
     """Return the models of a repository, each content once, with the folders of all its files."""
     files = sorted(one for one in repository.rglob("*.slx") if one.is_file())
     files += sorted(one for one in repository.rglob("*.mdl") if one.is_file())
-    folders = sorted({one.parent for one in files})
+    beside = [one for end in ("sldd", "m") for one in repository.rglob(f"*.{end}")]
+    folders = sorted({one.parent for one in (*files, *beside)})
     once = {hashlib.sha256(one.read_bytes()).digest(): one for one in reversed(files)}
     return [(one, folders) for one in sorted(once.values())]
 

@@ -5,13 +5,14 @@ a small diagram. What it does not cover it refuses by the parameter's name. Math
 left to right; a Discrete Derivative keeps the scaled input, and so on: each function follows that order of operations.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from twodof.blocks import Diagram
+from twodof.blocks.bus import Bus
 from twodof.blocks.elementwise import port_series
+from twodof.blocks.expressions.numbers import INTEGERS, KINDS, STORED
 from twodof.blocks.library import (
     Abs,
     Bias,
@@ -44,16 +45,20 @@ from twodof.blocks.library import (
 from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN
 from twodof.slx.conditions import CONDITION_RULES
+from twodof.slx.data_types import BUS_RULES, kind_of, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
-from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
 
 
 def _constant(c: Asked) -> Made:
-    value = c.value("Value", "1")
     said = c.text("OutDataTypeStr", "Inherit: Inherit from 'Constant value'")
-    kind = TYPES.get(said, "") if not said.startswith("Inherit") else _KIND_OF.get(value.dtype.type, "")
+    kind = "" if said.startswith("Inherit") else kind_of(said, c.names)
+    if isinstance(kind, Bus):
+        return Made(Constant(value_of(c.structure("Value", "1"), Signal(kind)), kind), [Signal(kind)])
+    value = c.value("Value", "1")
+    kind = kind or _KIND_OF.get(value.dtype.name, "")
     if not kind:
-        raise NotTranslated(f"OutDataTypeStr = {said!r} is not translated")
+        raise NotTranslated(f"a constant of type {value.dtype.name} is not translated")
     if value.size == 1:
         return Made(Constant(plain(value.flat[0], kind), kind), [Signal(kind)])
     if 1 not in value.shape:
@@ -121,7 +126,7 @@ def _saturate(c: Asked) -> Made:
 
 
 def _mux(c: Asked) -> Made:
-    kind = c.kind("real", "bool", "int32", "uint32")
+    kind = c.kind(*KINDS)
     widths = [one.width for one in c.inputs]
     total = Signal(kind, sum(width or 1 for width in widths))
     if len(widths) == 1:
@@ -144,7 +149,7 @@ def _mux(c: Asked) -> Made:
 
 
 def _demux(c: Asked) -> Made:
-    kind, width = c.kind("real", "bool", "int32", "uint32"), c.inputs[0].width or 1
+    kind, width = c.kind(*KINDS), c.inputs[0].width or 1
     outputs = c.value("Outputs", "4")
     sizes = [int(n) for n in outputs.flatten()] if outputs.size > 1 else []
     count = len(sizes) or int(outputs.flat[0])
@@ -164,7 +169,7 @@ def _demux(c: Asked) -> Made:
 
 
 def _selector(c: Asked) -> Made:
-    kind, width = c.kind("real", "bool", "int32", "uint32"), c.inputs[0].width or 1
+    kind, width = c.kind(*KINDS), c.inputs[0].width or 1
     if c.text("NumberOfDimensions", "1") != "1":
         raise NotTranslated("NumberOfDimensions other than 1 is not translated")
     options = c.text("IndexOptions", c.text("IndexOptionArray", "Index vector (dialog)"))
@@ -186,15 +191,16 @@ def _selector(c: Asked) -> Made:
 def _switch(c: Asked) -> Made:
     """Compute the criterion of the second input beside the choice between the first and the third."""
     first, control, third = c.inputs
-    if first.kind != third.kind or control.width is not None:
-        raise NotTranslated("its inputs have other types, or the control is a vector")
+    alike = replace(first, width=None).like(replace(third, width=None))
+    if not alike or control.width is not None or isinstance(control.kind, Bus):
+        raise NotTranslated(f"its inputs are {first} and {third}, and the control {control}")
     c.inputs = [first, third]
     width, kind = c.width, first.kind
     criterion = c.needs("Criteria", "u2 >= Threshold", "u2 >= Threshold", "u2 > Threshold", "u2 ~= 0")
     d = Diagram("switch")
     d.input("u1", kind, first.width)
     d.input("u2", control.kind)
-    d.input("u3", kind, third.width)
+    d.input("u3", third.kind, third.width)
     condition = "u2"
     if control.kind != "bool":
         operation = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
@@ -292,9 +298,9 @@ def _convert(c: Asked) -> Made:
     if said.startswith("Inherit"):
         c.notes.append("the type is inherited from behind: that of the input is kept")
         return passes(c)
-    if said not in TYPES:
-        raise NotTranslated(f"OutDataTypeStr = {said!r} is not translated")
-    kind = TYPES[said]
+    kind = kind_of(said, c.names)
+    if not isinstance(kind, str) or not isinstance(one.kind, str):
+        raise NotTranslated(f"a conversion to {said} is not translated")
     if kind == one.kind:
         return passes(c)
     if kind in ("int32", "uint32") and one.kind == "real":
@@ -321,7 +327,7 @@ def _dropped(c: Asked) -> Made:
     return Made(None, [])
 
 
-_KIND_OF = {np.float64: "real", np.float32: "real", np.bool_: "bool", np.int32: "int32", np.uint32: "uint32"}
+_KIND_OF = {"float64": "real", "float32": "real", **{name: name for name in ("bool", *INTEGERS)}}
 
 
 MATH = {"magnitude^2": "square", **{name: name for name in ("exp", "log", "square", "reciprocal", "sqrt")}}
@@ -334,6 +340,7 @@ RULES: dict[str, Rule] = {
     **COMPOSITE_RULES,
     **CONDITION_RULES,
     **DYNAMIC_RULES,
+    **BUS_RULES,
     "Abs": lambda c: same(c, Abs(c.kind("real", "int32"), c.width), c.kind("real", "int32")),
     "Bias": lambda c: same(c, Bias(c.scalar("Bias", "0.0"), c.width)),
     "CompareToConstant": _compare_to(lambda c: c.scalar("const", "3.0")),
@@ -369,6 +376,30 @@ RULES: dict[str, Rule] = {
     **dict.fromkeys(DROPPED, _dropped),
 }
 """Rule of each block type, or of a library block by its name."""
+
+
+TAKES_BUSES = (
+    *("BusAssignment", "BusCreator", "BusSelector", "Delay", "ManualSwitch", "Memory", "RateTransition"),
+    *("SignalSpecification", "Switch", "UnitDelay", "ZeroOrderHold", *DROPPED),
+)
+TAKES_SMALL = (
+    *(*TAKES_BUSES, "DataTypeConversion", "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
+    "SwitchCase",
+)
+"""Types that take integers of 8 and 16 bits."""
+TAKES_MATRICES = ("BusAssignment", "BusCreator", *DROPPED)
+
+
+def check_inputs(kind: str, inputs: Sequence[Signal]) -> None:
+    """Raise NotTranslated if a block of this kind does not take one of the signals."""
+    for one in inputs:
+        bad = (
+            (isinstance(one.kind, Bus) and kind not in TAKES_BUSES)
+            or (one.kind in STORED and kind not in TAKES_SMALL)
+            or (one.shape is not None and kind not in TAKES_MATRICES)
+        )
+        if bad:
+            raise NotTranslated(f"an input that is {one} is not translated")
 
 
 INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum", "Product"), 2)}

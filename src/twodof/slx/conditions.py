@@ -166,7 +166,7 @@ def _if(c: Asked) -> Made:
     if any(one.width is not None for one in c.inputs):
         raise NotTranslated("an input is a vector")
     expressions = [c.text("IfExpression", "u1 > 0"), *re.findall(r"[^,]+", c.text("ElseIfExpressions", ""))]
-    d, conditions = Diagram("choice"), IfConditions(expressions, [one.kind for one in c.inputs], c.names)
+    d, conditions = Diagram("choice"), IfConditions(expressions, [one.number for one in c.inputs], c.names)
     _ = conditions.trace  # what it cannot compute is refused here
     for port in conditions.inputs:
         d.input(port.name, port.kind)
@@ -177,7 +177,7 @@ def _if(c: Asked) -> Made:
 
 
 def _switch_case(c: Asked) -> Made:
-    kind = c.inputs[0].kind
+    kind = c.inputs[0].number
     if c.inputs[0].width is not None:
         raise NotTranslated("its input is a vector")
     try:
@@ -202,8 +202,7 @@ def _chosen(d: Diagram, choice: FirstTrue | CaseChoice, inputs: Mapping[str, str
 
 def _merge(c: Asked) -> Made:
     """Return a Merge, whose inputs that say which part acts the importer connects."""
-    known = [one for one in c.inputs if one.kind != c.inputs[0].kind or one.width != c.inputs[0].width]
-    if known or c.text("AllowUnequalInputPortWidths", "off") == "on":
+    if any(not one.like(c.inputs[0]) for one in c.inputs) or c.text("AllowUnequalInputPortWidths", "off") == "on":
         raise NotTranslated("its inputs have other types")
     one = c.inputs[0]
     start = c.value("InitialOutput", "[]")

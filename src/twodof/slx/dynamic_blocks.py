@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Diagram
+from twodof.blocks.bus import Bus
 from twodof.blocks.library import (
     CompareToConstant,
     Constant,
@@ -30,14 +31,17 @@ from twodof.blocks.library import (
     UnitDelay,
     ZeroOrderHold,
 )
+from twodof.slx.data_types import value_of
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, passes, plain, same
 
 
 def _initial(c: Asked, *names: str) -> tuple[Any, Signal]:
     """Return initial condition and signal of a _delay, which may be wider than a scalar input."""
     name = next((one for one in names if one in c.values), names[0])
-    value = c.value(name, "0")
     known = c.inputs[0]
+    if isinstance(known.kind, Bus):
+        return value_of(c.structure(name, "0"), known), known
+    value = c.value(name, "0")
     width = known.width or (value.size if value.size > 1 else None)
     initial = plain(value.flat[0], known.kind) if value.size == 1 else [plain(v, known.kind) for v in value.flatten()]
     if value.size not in (1, width or 1):

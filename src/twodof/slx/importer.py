@@ -7,7 +7,7 @@ report says for each block whether it was imported, approximated, dropped or ref
 
 import re
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,17 +17,21 @@ import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
+from twodof.blocks.bus import Bus
+from twodof.blocks.declarations import Port
 from twodof.blocks.library import Constant, Logic, Merge, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, INPUTS, RULES
+from twodof.slx.blocks import DROPPED, INPUTS, RULES, check_inputs
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition, ControlEdge, conditions_of
+from twodof.slx.data_types import kind_of, sized
+from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction, last_index
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
 from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, port_number, read_model
-from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, expanded, plain
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, plain
 
 Output = tuple[str, str, int]
 """An output of a block: path of its system, identifier and number."""
@@ -94,6 +98,10 @@ class _Sheet:
                 if line.source is not None:
                     self.sources[pin] = line.source
                     self.sinks.setdefault(line.source, []).append(pin)
+        self.labels = {line.source: line.name for line in system.lines if line.source is not None and line.name}
+        for sid, block in system.blocks.items():
+            for output, name in block.signals.items():
+                self.labels.setdefault(Pin(sid, "out", output), name)
         self.ports: dict[tuple[str, int], str] = {}
         self.tagged: dict[tuple[str, str], list[str]] = {}
         for sid, block in system.blocks.items():
@@ -112,6 +120,12 @@ class _Import:
         self.notes = list[str]()
         self.libraries: dict[str, Model | None] = {}
         names: dict[str, Value] = {}
+        try:
+            names.update(dictionary(model.dictionary, folders))
+        except DiagramError as reason:
+            self.notes.append(str(reason))
+        texts = (text for _, block in model.blocks() for text in block.values.values())
+        names.update(enumerations(texts, folders))
         for callback in ("PreLoadFcn", "PostLoadFcn", "InitFcn"):
             for skipped in run(model.callbacks.get(callback, ""), names):
                 self.notes.append(f"{callback}, line {skipped.line}: {skipped.why}")
@@ -321,25 +335,26 @@ class _Import:
             self._refuse(key, reason.what if isinstance(reason, DiagramError) else str(reason))
 
     def _inport(self, key: tuple[str, str], block: SimulinkBlock) -> None:
+        names = self.sheets[key[0]].names
         said = collapsed(block.values.get("OutDataTypeStr", "Inherit: auto"))
-        if not said.startswith("Inherit") and said not in TYPES:
-            raise NotTranslated(f"OutDataTypeStr = {said!r} is not translated")
-        size = evaluate(block.values.get("PortDimensions", "-1"), self.sheets[key[0]].names, "PortDimensions")
+        kind = "real" if said.startswith("Inherit") else kind_of(said, names)
+        size = evaluate(block.values.get("PortDimensions", "-1"), names, "PortDimensions")
         elements = [int(n) for n in as_array(number(size)).flatten()]
-        if len([n for n in elements if n > 1]) > 1:
-            raise NotTranslated(f"PortDimensions = {block.values['PortDimensions']} is not translated")
-        width = max(elements)
         if block.values.get("OutputFunctionCall", "off") == "on":
             self.approximated.setdefault(key, []).append("a call is true for the step in which it is made")
             self.signals[*key, 1] = Signal("bool")
             return
         if said == "single":
             self.approximated.setdefault(key, []).append(_SINGLE)
-        if said.startswith("Inherit") or width == -1:
-            width = self._width_wanted(*key, 0) if width == -1 else width
-            shape = f"a vector of {width} doubles" if width > 1 else "a scalar double"
-            self.approximated.setdefault(key, []).append(f"inherits its type: taken for {shape}")
-        self.signals[*key, 1] = Signal(TYPES.get(said, "real"), width if width > 1 else None)
+        if elements == [-1]:
+            elements = [1 if isinstance(kind, Bus) else self._width_wanted(*key, 0)]
+            if elements != [1] or said.startswith("Inherit"):
+                shape = f"a vector of {elements[0]} {kind}" if elements != [1] else f"a scalar {kind}"
+                shape = shape.replace("real", "doubles" if elements != [1] else "double")
+                self.approximated.setdefault(key, []).append(f"inherits its type: taken for {shape}")
+        elif said.startswith("Inherit"):
+            self.approximated.setdefault(key, []).append("inherits its type: taken for double")
+        self.signals[*key, 1] = sized(kind, elements)
 
     def _width_wanted(self, path: str, sid: str, depth: int) -> int:
         """Return how many elements the Demux, Selector or MATLAB Function behind a port wants; 1 where none says it."""
@@ -387,6 +402,11 @@ class _Import:
             else:
                 return path, source.sid, source.number
         raise NotTranslated("From and Goto blocks lead in a circle")
+
+    def _label(self, path: str, pin: Pin) -> str:
+        """Return the name of the signal at an input: of its line, or of the element that a BusSelector takes out."""
+        source = self.sheets[path].sources.get(pin)
+        return "" if source is None else self.sheets[path].labels.get(source, "").strip("<>")
 
     def _origin(self, path: str, pin: Pin) -> Output | None:
         """Return the output of a block that drives an input, out of and into subsystems; None where nothing does."""
@@ -464,7 +484,10 @@ class _Import:
                 raise NotTranslated(f"the block type {block.kind} is not translated")
             inputs = [self._type(path, pin) or Signal() for pin in self._inputs(key)]
             values = {**self.model.defaults.get(block.type, {}), **block.values, **block.instance}
-            asked = Asked(block, path, values, self.sheets[path].names, inputs, self.dt)
+            if block.kind in RULES:
+                check_inputs(block.kind, inputs)
+            labels = [self._label(path, pin) for pin in self._inputs(key)]
+            asked = Asked(block, path, values, self.sheets[path].names, inputs, self.dt, labels)
             made = self.made[key] = rule(asked)
             self.signals.update({(*key, k + 1): signal for k, signal in enumerate(made.outputs)})
             loose = [str(pin.number) for pin in self._inputs(key) if made.item and self._origin(path, pin) is None]
@@ -514,7 +537,7 @@ class _Import:
                 owner = self.sheets[path].owner
                 outer = None if owner is None else self._type(owner[0], Pin(owner[1], "in", port_number(block)))
                 signal = outer or self.signals.get((path, sid, 1)) or Signal()
-                diagram.input(names[sid], signal.kind, signal.width)
+                diagram.declare(signal.port(names[sid]))
                 self._report(path, sid, "imported")
         for sid, block in system.blocks.items():
             self._try((path, sid), partial(self._add, diagram, path, sid, block, names))
@@ -522,10 +545,10 @@ class _Import:
             self._try((path, sid), partial(self._wire, diagram, path, sid, block, names))
         for sid, _ in outports:
             source = self._name(path, self._source(path, Pin(sid, "in", 1)), names, diagram)
-            if source in diagram.inputs:  # an output of a diagram is fed by a part
-                port = diagram.inputs[source]
+            if "." not in source and source not in diagram.parts:  # an output of a diagram is fed by a part
+                signal = self._type(path, Pin(sid, "in", 1)) or Signal()
                 passed = _safe(f"{source}_passed", taken)
-                diagram.add(passed, ZeroOrderHold(port.kind, port.width))
+                diagram.add(passed, ZeroOrderHold(signal.kind, signal.width))
                 diagram.connect(source, passed)
                 source = passed
             diagram.output(names[sid], source)
@@ -568,7 +591,7 @@ class _Import:
             return
         item = diagram.parts[name].item
         made = self.made.get((path, sid), Made(None, []))
-        ports = [port.name for port in item.inputs] if isinstance(item, LibraryBlock) else list(item.inputs)
+        ports = _port_names(item.inputs)
         if isinstance(item, Diagram):
             self._condition(path, sid, f"{path}/{escaped(block.name)}".lstrip("/"))
         if isinstance(item, Merge):
@@ -577,7 +600,7 @@ class _Import:
             ports = list(item.names)
         width = None
         if made.expand and made.item is not None and made.outputs and not isinstance(item, Diagram):
-            width = next((port.width for port in item.inputs if port.width is not None), None)
+            width = next((port.width for port in item.inputs if port.width is not None and "." not in port.name), None)
         for k, port in enumerate(ports):
             pin = Pin(sid, "in", k + 1)
             source = self._name(path, self._source(path, pin), names, diagram)
@@ -627,7 +650,7 @@ class _Import:
             raise NotTranslated(f"its {condition.pin} is a vector")
         if signal.kind == "bool" and condition.edge in ("", "level hold"):
             return source
-        edge = ControlEdge(condition.edge, signal.kind, condition.pin == "reset")
+        edge = ControlEdge(condition.edge, signal.number, condition.pin == "reset")
         return self._helper(path, f"{sheet.parts[sid]}_{condition.pin}s", edge, source)
 
     def _helper(self, path: str, wanted: str, block: LibraryBlock, *sources: str) -> str:
@@ -676,10 +699,7 @@ class _Import:
         if block.type in ("Inport", "InportShadow"):
             shown = self.sheets[path].ports.get(("Inport", port_number(block)))
             return names[shown or sid]
-        item = diagram.parts[names[sid]].item
-        if isinstance(item, LibraryBlock):
-            return f"{names[sid]}.{item.outputs[output - 1].name}"
-        return f"{names[sid]}.{list(item.outputs)[output - 1]}"
+        return f"{names[sid]}.{_port_names(diagram.parts[names[sid]].item.outputs)[output - 1]}"
 
     def _report(self, path: str, sid: str, status: str, why: str = "") -> None:
         notes = self.approximated.get((path, sid), [])
@@ -699,6 +719,12 @@ def _with_ports(system: System) -> System:
                 values = {"Port": str(number), "Position": block.values.get("Position", "")}
                 blocks[sid] = SimulinkBlock(port, block.values.get("VariableName", "sim"), sid, values)
     return System(blocks, system.lines)
+
+
+def _port_names(ports: Iterable[str | Port]) -> list[str]:
+    """Return the names of a part's inputs or outputs; a bus is one."""
+    names = [port if isinstance(port, str) else port.name for port in ports]
+    return list(dict.fromkeys(name.partition(".")[0] for name in names))
 
 
 def _corner(block: SimulinkBlock) -> tuple[float, float] | None:

@@ -6,9 +6,12 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from twodof.errors import DiagramError
+from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.matlab import assigned_names, names_in
 from twodof.slx.matlab_values import FUNCTIONS
 from twodof.slx.model import Mask, Model, SimulinkBlock, System, collapsed, escaped, port_number, read_model
@@ -106,6 +109,9 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
     named.update(name for _, one in blocks if (name := one.values.get("ReferencedSubsystem", "")))
     libraries = tuple(_library(name, count, folders) for name, count in named.most_common())
     lines = [line for _, system in systems for line in system.lines]
+    outside = set(enumerations((text for _, one in blocks for text in one.values.values()), folders))
+    with suppress(DiagramError):  # a dictionary that is not found: its names have no value
+        outside |= set(dictionary(model.dictionary, folders))
     return Inspection(
         model,
         dict(Counter(one.kind for _, one in blocks).most_common()),
@@ -117,7 +123,7 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
         libraries,
         tuple(sorted(one.path for one in model.charts if one.function)),
         tuple(sorted(one.path for one in model.charts if not one.function)),
-        unresolved(model, [read_model(one.file) for one in libraries if one.file is not None]),
+        unresolved(model, [read_model(one.file) for one in libraries if one.file is not None], outside),
         sum(one.commented for _, one in blocks),
         sum(line.source is None or next(line.wire.sinks(), None) is None for line in lines),
     )
@@ -149,15 +155,19 @@ def library_file(name: str, folders: Iterable[Path]) -> Path | None:
     return next((at for one in candidates for end in SUFFIXES if (at := one / f"{name}{end}").is_file()), None)
 
 
-def unresolved(model: Model, libraries: Iterable[Model] = ()) -> dict[str, tuple[str, ...]]:
+def unresolved(
+    model: Model, libraries: Iterable[Model] = (), outside: Iterable[str] = ()
+) -> dict[str, tuple[str, ...]]:
     """Return the names that values of blocks take from a workspace, each with the paths of up to three blocks.
+
+    Names `outside` have a value in a data dictionary or an enumeration's class.
 
     What a link gives to a block of a library is read if the library is among `libraries`: only its mask tells a name
     from a choice.
     """
     masks = {f"{one.name}/{path}": block.mask for one in libraries for path, block in one.blocks() if block.mask}
     found: dict[str, list[str]] = {}
-    known = {name for code in model.callbacks.values() for name in assigned_names(code)}
+    known = {name for code in model.callbacks.values() for name in assigned_names(code)} | set(outside)
     _unresolved(model.root, "", known, masks, found)
     for one in libraries:
         if one.kind == "subsystem":  # a subsystem with a file of its own has the names of its model's workspace

@@ -46,7 +46,7 @@ DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
 
 _TOKEN = re.compile(
     r"""(?P<space>(?:[ \t]|\.\.\.[^\n]*\n)+)|(?P<comment>[%\#][^\n]*)
-      |(?P<number>(?:\d+(?:\.(?![*/\\^'])\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?)
+      |(?P<whole>0[xX][0-9a-fA-F]{1,16})|(?P<number>(?:\d+(?:\.(?![*/\\^'])\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?)
       |(?P<name>[A-Za-z]\w*)|(?P<operator>\.\^|\.\*|\./|\.\\|\.'|==|~=|!=|<=|>=|&&|\|\||[-+*/\\^'<>=&|~!:;,()\[\]{}.@])
       |(?P<text>"(?:[^"\n]|"")*")|(?P<line>\r?\n)""",
     re.VERBOSE,
@@ -111,6 +111,9 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
             parser.at = _next_statement(tokens, start)
             for name in _assigned(tokens[start : parser.at]):
                 workspace.pop(name, None)
+            if tokens[start].text == "clear":
+                for token in tokens[start + 1 : parser.at]:
+                    workspace.pop(token.text, None)
             if tokens[start].text not in _SILENT:
                 skipped.append(Skipped(line, str(reason)))
     return skipped
@@ -439,6 +442,8 @@ class _Parser:
             elif here.text == "." and here.kind == "operator" and self.tokens[self.at + 1].kind == "name":
                 name = self.tokens[self.at + 1].text
                 self.at += 2
+                if isinstance(value, dict) and name not in value:
+                    value = number(value)  # a field of what a parameter holds
                 if not isinstance(value, dict) or name not in value:
                     raise NotComputed(f"there is no field {name}")
                 value = value[name]
@@ -450,6 +455,9 @@ class _Parser:
         self.at += 1
         if token.kind == "number":
             return np.array([[float(token.text.lower().replace("d", "e"))]])
+        if token.kind == "whole":  # of the smallest type that has as many digits
+            bits = next(bits for bits in (8, 16, 32, 64) if 4 * (len(token.text) - 2) <= bits)
+            return np.array([[int(token.text, 16)]], dtype=f"uint{bits}")
         if token.kind == "text":
             return token.text
         if token.kind == "name":
@@ -534,6 +542,7 @@ class _Parser:
 
     def apply(self, operator: str, left: Value, right: Value) -> Value:
         self.machine.count()
+        left, right = number(left), number(right)
         if isinstance(left, dict | list) or isinstance(right, dict | list):
             raise NotComputed(f"'{operator}' of a structure or a cell")
         a, b = as_array(left), as_array(right)

@@ -12,13 +12,18 @@ from twodof.blocks.expressions.expr import maximum, minimum, sqrt
 
 Array = NDArray[Any]
 Value = Any
-"""An array, a text, a structure or a cell array."""
+"""An array, a text, a structure, a list of structures or a cell array."""
 MOST_ELEMENTS = 1_000_000
-_KINDS = {
+MOST_STRUCTURES = 10_000
+KINDS = {
     "double": np.float64, "single": np.float32, "int8": np.int8, "int16": np.int16, "int32": np.int32,
     "int64": np.int64, "uint8": np.uint8, "uint16": np.uint16, "uint32": np.uint32, "uint64": np.uint64,
     "logical": np.bool_, "boolean": np.bool_,
 }  # fmt: skip
+
+
+class Members(dict[str, Value]):
+    """An enumeration: the numbers of its members by name."""
 
 
 class NotComputed(Exception):
@@ -108,7 +113,9 @@ def _matrix_power(a: Array, b: Array) -> Array:
 
 
 def joined(rows: list[list[Value]]) -> Value:
-    """Return the matrix of these rows; of texts their text."""
+    """Return the matrix of these rows; of texts their text, of structures their list."""
+    if rows and all(isinstance(value, dict) for row in rows for value in row):
+        return [value for row in rows for value in row]
     if rows and all(isinstance(value, str) for row in rows for value in row):
         return "".join(value for row in rows for value in row)
     if any(isinstance(value, dict | list) for row in rows for value in row):
@@ -134,8 +141,14 @@ def _places(index: Value, size: int) -> Array:
 
 def indexed(value: Value, index: list[Value]) -> Value:
     """Return the elements of a value at one index or two; ":" stands for all."""
+    if isinstance(value, Members) and len(index) == 1:
+        return as_array(index[0]).astype(np.int32)  # Mode(2), the member of this number
     if isinstance(value, dict) and all(isinstance(i, np.ndarray) and i.size == 1 and i.flat[0] == 1 for i in index):
         return value  # s(1) of one structure
+    if isinstance(value, list) and all(isinstance(one, dict) for one in value) and len(index) == 1:
+        (place,) = _places(index[0], len(value)).tolist() if np.size(index[0]) == 1 else [-1]
+        if 0 <= place < len(value):
+            return value[place]
     if isinstance(value, dict | list) or len(index) > 2:
         raise NotComputed("an array of structures or cells, or of three dimensions, is not computed")
     array = as_array(value)
@@ -163,6 +176,14 @@ def stored(old: Value, steps: list[Any], value: Value) -> Value:
         made = dict(old) if isinstance(old, dict) else {}
         made[step] = stored(made.get(step), rest, value)
         return made
+    if (isinstance(value, dict) or rest) and len(step) == 1 and (old is None or isinstance(old, dict | list)):
+        elements = [*old] if isinstance(old, list) else [] if old is None else [old]
+        place = int(scalar(step[0])) - 1
+        if not 0 <= place < MOST_STRUCTURES or not all(isinstance(one, dict) for one in elements):
+            raise NotComputed(f"an array has at most {MOST_STRUCTURES} structures")
+        elements += [{}] * (place + 1 - len(elements))
+        elements[place] = stored(elements[place], rest, value)
+        return elements[0] if len(elements) == 1 else elements
     if rest or isinstance(old, dict | list | str):
         raise NotComputed("an array of structures or cells is not computed")
     array, new = (np.zeros((0, 0)) if old is None else old), as_array(value)
@@ -189,7 +210,7 @@ def _each(function: Callable[..., Any]) -> Callable[..., Array]:
 
 def _filled(value: float) -> Callable[..., Array]:
     def make(*sizes: Value) -> Array:
-        kind = next((_KINDS[s] for s in sizes if isinstance(s, str) and s in _KINDS), np.float64)
+        kind = next((KINDS[s] for s in sizes if isinstance(s, str) and s in KINDS), np.float64)
         numbers = [int(n) for s in sizes if not isinstance(s, str) for n in as_array(s).flatten()]
         rows, columns = (numbers * 2)[:2] if len(numbers) < 2 else numbers[:2] if numbers else (1, 1)
         if max(rows, 0) * max(columns, 0) > MOST_ELEMENTS or len(numbers) > 2:
@@ -378,11 +399,14 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "reshape": lambda v, *s: as_array(v).reshape([int(n) for one in s for n in as_array(one).flatten()], order="F"),
     "repmat": lambda v, *s: _bounded_tile(v, [int(n) for one in s for n in as_array(one).flatten()]),
     "struct": _struct, "Simulink.Parameter": lambda value=None: {"Value": np.zeros((0, 0)) if value is None else value},
+    "Simulink.Bus": lambda: {"Elements": []},
+    "Simulink.BusElement": lambda: {"Name": "", "DataType": "double", "Dimensions": np.ones((1, 1))},
+    "Simulink.AliasType": lambda base="double": {"BaseType": base},
     "conv": lambda a, b: np.convolve(as_array(a).flatten(), as_array(b).flatten())[None, :],
     "poly": lambda v: np.poly(as_array(v).flatten())[None, :], "fliplr": lambda v: as_array(v)[:, ::-1],
     "polyval": lambda p, x: np.polyval(as_array(p).flatten(), as_array(x)), "flipud": lambda v: as_array(v)[::-1],
     "isfield": lambda s, name: bool(isinstance(s, dict) and name in s),
-    **{name: _cast(kind) for name, kind in _KINDS.items()},
+    **{name: _cast(kind) for name, kind in KINDS.items()},
 }  # fmt: skip
 
 

@@ -146,6 +146,8 @@ class Model:
     version: str
     solver: dict[str, str]
     callbacks: dict[str, str]
+    dictionary: str
+    """Name of the data dictionary's file; "" without one."""
     defaults: dict[str, dict[str, str]]
     """Parameters that the file gives to all blocks of a type."""
     root: System

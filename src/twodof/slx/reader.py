@@ -31,6 +31,7 @@ def plain_model(data: bytes, where: str) -> Answer:
         "version": _value(top, "ComputedModelVersion") or content.property("revision"),
         "solver": {name: found for name in SOLVER for s in settings[:1] if (found := _nested(s, name))},
         "callbacks": {name: found for name in CALLBACKS if (found := _value(top, name).strip())},
+        "dictionary": _value(top, "DataDictionary"),
         "defaults": content.defaults(top),
         "root": content.system(root, 0),
         "charts": list(content.charts(top)),

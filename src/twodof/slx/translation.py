@@ -1,33 +1,57 @@
 """Translation of one Simulink block: what is asked, what it became, and the types of its signals."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
-from twodof.blocks.library import (
-    MatrixGain,
-    ZeroOrderHold,
-)
+from twodof.blocks.bus import Bus
+from twodof.blocks.declarations import Port
+from twodof.blocks.elementwise import port_series
+from twodof.blocks.enumeration import Kind
+from twodof.blocks.library import MatrixGain, Mux, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.matlab import evaluate
 from twodof.slx.matlab_values import Value, number
 from twodof.slx.model import SimulinkBlock, collapsed
 
 
+class NotTranslated(Exception):
+    """Why a block cannot be imported."""
+
+
 @dataclass(frozen=True)
 class Signal:
     """The type of a signal: its kind in the block language, and its width; None of a scalar."""
 
-    kind: str = "real"
+    kind: Kind = "real"
     width: int | None = None
+    """Number of elements: of a matrix too."""
+    shape: tuple[int, int] | None = None
 
+    def port(self, name: str) -> Port:
+        """Return a port of this type."""
+        return Port(name, self.kind, self.width, shape=self.shape)
 
-class NotTranslated(Exception):
-    """Why a block cannot be imported."""
+    @property
+    def number(self) -> str:
+        """The kind of a number. Raises NotTranslated for a bus."""
+        if not isinstance(self.kind, str):
+            raise NotTranslated(f"an input that is {self} is not translated")
+        return self.kind
+
+    def like(self, other: "Signal") -> bool:
+        """Return True if both have the same size and kind; of buses only the fields count."""
+        kinds = [one.kind.leaves if isinstance(one.kind, Bus) else one.kind for one in (self, other)]
+        return kinds[0] == kinds[1] and (self.width, self.shape) == (other.width, other.shape)
+
+    def __str__(self) -> str:
+        kind = f"the bus {self.kind.name}" if isinstance(self.kind, Bus) else str(self.kind)
+        size = " x ".join(map(str, self.shape)) if self.shape else self.width
+        return kind if size is None else f"{kind} [{size}]"
 
 
 @dataclass
@@ -40,6 +64,8 @@ class Asked:
     names: dict[str, Value]
     inputs: list[Signal]
     dt: float
+    labels: list[str] = field(default_factory=list)
+    """Names of the lines at the inputs; "" for a line without one."""
     notes: list[str] = field(default_factory=list)
     """What is approximated."""
 
@@ -49,14 +75,17 @@ class Asked:
 
     def value(self, name: str, default: str) -> np.ndarray[Any, Any]:
         """Return a parameter's array. Raises NotTranslated, naming it."""
-        text = self.values.get(name, default)
+        found = self.structure(name, default)
+        if not isinstance(found, np.ndarray):
+            raise NotTranslated(f"parameter {name} = {self.values.get(name, default)[:60]} is not a number")
+        return found
+
+    def structure(self, name: str, default: str) -> Value:
+        """Return a parameter's value of any kind. Raises NotTranslated, naming it."""
         try:
-            found = number(evaluate(text, self.names, name))
+            return number(evaluate(self.values.get(name, default), self.names, name))
         except DiagramError as error:
             raise NotTranslated(f"parameter {name}: {error.what}") from None
-        if not isinstance(found, np.ndarray):
-            raise NotTranslated(f"parameter {name} = {text[:60]} is not a number")
-        return found
 
     def scalar(self, name: str, default: str) -> float:
         """Return a parameter of one number. Raises NotTranslated for an array."""
@@ -86,10 +115,10 @@ class Asked:
 
     def kind(self, *allowed: str) -> str:
         """Return the kind that all inputs have."""
-        kinds = {one.kind for one in self.inputs}
-        if len(kinds) != 1 or not kinds <= set(allowed):
-            raise NotTranslated(f"inputs of type {' and '.join(sorted(kinds))} are not translated")
-        return kinds.pop()
+        kinds = sorted({str(replace(one, width=None, shape=None)) for one in self.inputs})
+        if len(kinds) != 1 or not set(kinds) <= set(allowed):
+            raise NotTranslated(f"inputs of type {' and '.join(kinds)} are not translated")
+        return kinds[0]
 
 
 Item = LibraryBlock | Diagram
@@ -113,7 +142,7 @@ def same(c: Asked, item: Item, kind: str = "real") -> Made:
     return Made(item, [Signal(kind, c.width)])
 
 
-def plain(value: Any, kind: str) -> Any:
+def plain(value: Any, kind: Kind) -> Any:
     """Return a number as the parameter of a kind."""
     return bool(value) if kind == "bool" else float(value) if kind == "real" else int(value)
 
@@ -122,11 +151,13 @@ def expanded(d: Diagram, source: str, signal: Signal, width: int | None) -> str:
     """Return the source of a signal with this width: a scalar is repeated. Raises NotTranslated for another width."""
     if signal.width == width or width is None:
         return source
-    if signal.width is not None or signal.kind != "real":
-        raise NotTranslated(f"an input of {signal.width or 1} elements meets {width}")
+    if signal.width is not None:
+        raise NotTranslated(f"an input of {signal.width} elements meets {width}")
     name = f"{source.replace('.', '_')}_expanded"
-    if name not in d.parts:
+    if name not in d.parts and signal.kind == "real":
         d.add(name, MatrixGain([[1.0]] * width), u=source)
+    elif name not in d.parts:
+        d.add(name, Mux(width, signal.number), inputs=dict.fromkeys(port_series(width), source))
     return name
 
 
@@ -136,5 +167,11 @@ def passes(c: Asked) -> Made:
     return Made(ZeroOrderHold(one.kind, one.width), [one])
 
 
-TYPES = {"double": "real", "single": "real", "boolean": "bool", "int32": "int32", "uint32": "uint32"}
+TYPES = {
+    "double": "real",
+    "single": "real",
+    "boolean": "bool",
+    "logical": "bool",
+    **{name: name for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32")},
+}
 """Data types that have a kind here."""
