@@ -183,7 +183,7 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
         (["--structure", "model.py", *COLUMNS, "--experiment", "doublet"], "--experiment"),
         (["--structure", "model.py", *COLUMNS, "--period", "0.01"], "give one of --time and --period"),
         (["--structure", "model.py", *COLUMNS[:-2], "--period", "-1"], "a period of -1 s"),
-        (["--structure", "model.py", *COLUMNS[:-2], "--period", "volt"], "no column 'volt' with one number"),
+        (["--structure", "model.py", *COLUMNS[:-2], "--period", "volt"], "column 'volt' has "),
         (["--structure", "model.py", *COLUMNS, "--model", "rail"], "--model"),
         (["--structure", "model.py", *COLUMNS, "--estimate", "mu"], "no unknown 'mu'"),
         (["--structure", "model.py", *COLUMNS, "--hold", "u"], "write u=linear"),

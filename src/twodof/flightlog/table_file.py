@@ -408,7 +408,8 @@ def _constant(table: pa.Table, name: str, where: str) -> float:
     values = np.unique(_numbers(table, column, where, nulls=True)) if column else np.empty(0)
     values = values[np.isfinite(values)]
     if values.size != 1:
-        raise LogError(f"no column {name!r:.80} with one number", where, "give seconds, as --period 0.02")
+        what = f"column {name!r:.80} has {values.size} different values" if column else f"no column {name!r:.80}"
+        raise LogError(what, where, "give seconds, as --period 0.02")
     return float(values[0])
 
 

@@ -144,9 +144,9 @@ def select(
     """Fit every subset of the `optional` unknowns beside those estimated `always`, and rank them.
 
     `values` and `disturbance` as in `fit`. An optional unknown that is not estimated keeps its value (`values`, else
-    the structure's own): a friction or trim of 0 is left out by that. Candidates are named "+ a + b" after what they
-    estimate in addition, "-" without. Subsets that the data cannot tell are left out. `progress(done, all, name)` is
-    called before each fit.
+    the structure's own): a friction or trim of 0 has no effect. A candidate that also estimates a and b is called
+    "+ a + b", one that estimates none "-". Subsets that the data cannot tell are left out. `progress(done, all, name)`
+    is called before each fit.
     Raise IdentificationError for more than 6 optional unknowns, if fewer than two subsets can be fitted, and as `fit`
     does for wrong names.
     """

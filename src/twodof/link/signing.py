@@ -264,11 +264,11 @@ class Stamps:
 
 def _lock(path: Path) -> int:
     """Lock the file beside `path` for this process and return its descriptor."""
-    remedy = "give each process a file of its own"
     try:
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         descriptor = os.open(f"{path}.lock", flags, 0o600)
     except OSError as error:
+        remedy = "choose a folder that exists and that this user may write"
         raise LinkError(f"cannot be locked: {error.strerror}", str(path), remedy) from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -276,6 +276,7 @@ def _lock(path: Path) -> int:
         os.close(descriptor)
         taken = isinstance(error, BlockingIOError)
         what = "another process signs with these time stamps" if taken else f"cannot be locked: {error.strerror}"
+        remedy = "give each process a file of its own" if taken else "choose a folder whose file system can lock files"
         raise LinkError(what, str(path), remedy) from error
     return descriptor
 

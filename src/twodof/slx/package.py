@@ -141,7 +141,7 @@ def from_braces(text: str, where: str) -> Element:
         close, section, _, key, value, more = found.groups()
         if close:
             if len(open_) == 1:
-                raise LogError(f"line {number} closes what is not open", where, REMEDY)
+                raise LogError(f"line {number} closes a section that was not opened", where, REMEDY)
             _finish(open_.pop())
             last = None
         elif section:

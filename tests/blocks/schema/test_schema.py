@@ -102,7 +102,7 @@ HOSTILE = {
         "unknown block type",
     ),
     "an unknown field": (form(inputs=[{"name": "a", "__class__": "x"}]), "unknown key .__class__."),
-    "a node that looks ahead": (custom(nodes=[["neg", [0]]]), "does not stand above"),
+    "a node that looks ahead": (custom(nodes=[["neg", [0]]]), r"node 0 uses node \[0\], which does not come before"),
     "an operation of another type": (custom(nodes=[["input", [], "u"], ["and", [0, 0]]]), "not defined on real"),
     "a foreign operation": (custom(nodes=[["__import__", []]]), "not well formed"),
     "a long array of arrays": (

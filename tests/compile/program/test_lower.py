@@ -84,8 +84,16 @@ def enabled_in_enabled(values: dict[str, Any]) -> Callable[[Diagram], None]:
 
 REFUSED = [
     (stores(), "cell.u", r"the input u is not connected \(connect it, or add StoreWrite\(\"cell\"\)\)"),
-    (stores(StoreRead("elsewhere"), wired=True), "part0.u", "there is no data store 'elsewhere' around it"),
-    (stores(StoreWrite("elsewhere"), wired=True), "part0", "there is no data store 'elsewhere' around it"),
+    (
+        stores(StoreRead("elsewhere"), wired=True),
+        "part0.u",
+        "no data store 'elsewhere' here or in a diagram around it",
+    ),
+    (
+        stores(StoreWrite("elsewhere"), wired=True),
+        "part0",
+        "no data store 'elsewhere' here or in a diagram around it",
+    ),
     (stores(StoreWrite("cell"), StoreWrite("cell")), "part1", "sub.cell is written by sub.part0 too"),
     (stores(StoreWrite("cell"), wired=True), "part0", "sub.cell is written by u too"),
     (stores(StoreWrite("cell"), kind="int32"), "cell.u", "it takes int32 and sub.part0.y"),

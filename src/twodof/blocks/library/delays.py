@@ -291,7 +291,7 @@ def nearest_store(level: Any, name: str, where: str) -> tuple[Any, Any]:
         if isinstance(getattr(found, "block", None), DataStore):
             return at, found
         at = at.parent
-    raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")
+    raise DiagramError(f"no data store {name!r} here or in a diagram around it", where, "add a DataStore of this name")
 
 
 def note_writer(writers: dict[Any, Any], level: Any, writer: Any) -> Any:

@@ -82,7 +82,7 @@ def start_param(start: float) -> Param:
 
 @library_block("constant")
 class Constant(Block):
-    """y = value; has no rate."""
+    """y = value; blocks of any rate may read it."""
 
     def __init__(self, value: Any = 0.0, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.outputs = [Port("y", kind, width, unit)]

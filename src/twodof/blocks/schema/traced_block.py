@@ -107,7 +107,7 @@ class TracedBlock(Block):
 
 
 def graph_to_json(trace: Trace) -> dict[str, Any]:
-    """Return a trace as a list of nodes [op, arguments, ...], and the node of each name by section."""
+    """Return a trace as {"nodes": rows, method: {name: row number}}; a row is [op, numbers of its arguments, ...]."""
     graphs = by_method(trace)
     rows, number = nodes_to_json(roots_of(graphs))
     form: dict[str, Any] = {"nodes": rows}
@@ -197,7 +197,7 @@ def sizes_of(roots: Sequence[Expr]) -> list[int]:
 def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Expr]]) -> Expr:
     op, numbers_, *data = row
     if not all(type(n) is int and 0 <= n < len(made) for n in numbers_):
-        raise ValueError("an argument does not stand above it")
+        raise ValueError(f"node {len(made)} uses node {numbers_}, which does not come before it")
     args = [made[n] for n in numbers_]
     if op not in ("select", "store", "build"):
         scalars(str(op), *args)

@@ -1,4 +1,4 @@
-"""The operations of the language as C99, one row each."""
+"""The operations of the language as C99, one row each; `where` is C's conditional (ternary) operator."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

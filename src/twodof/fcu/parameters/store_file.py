@@ -1,4 +1,4 @@
-"""The file of the vehicle's parameters, replaced as a whole by a thread of its own, and checked when it is read."""
+"""The file in which the vehicle's parameters persist: replaced as a whole by a thread, and checked when it is read."""
 
 import json
 import math

@@ -192,10 +192,10 @@ class ChangesRequest(RequestBody):
 
 
 @tuning_router.get("/{number}")
-async def guarded(lab: CurrentLab, one: NamedDrone) -> dict[str, Any]:
+async def tuning_state(lab: CurrentLab, one: NamedDrone) -> dict[str, Any]:
     """Return the model that guards the drone's gains, or null, and the pitch controller ("" is the stock one).
 
-    `undo` has the rows of the last change by this server that `undo` takes back, none without one.
+    `undo` has the parameters of this server's last change, which POST undo would take back; none without a change.
     """
     rows: list[dict[str, Any]] = []
     with suppress(Rejected):
@@ -207,7 +207,7 @@ async def guarded(lab: CurrentLab, one: NamedDrone) -> dict[str, Any]:
 async def choose(lab: CurrentLab, one: NamedDrone, asked: ModelRequest) -> dict[str, Any]:
     """Choose the model that guards the drone's gains: gains that are unstable within its uncertainty need a token."""
     lab.models.choose(one.number, asked.model)
-    return await guarded(lab, one)
+    return await tuning_state(lab, one)
 
 
 @tuning_router.post("/{number}/preview", dependencies=[WATCHERS_MAY])
