@@ -214,9 +214,7 @@ def test_what_is_commented_is_cut_or_passed_and_what_hangs_in_the_air_is_said(tm
 
 def test_another_period_than_the_blocks_have_is_refused(tmp_path: Path) -> None:
     found = one_block(tmp_path, "ZeroOrderHold", {"SampleTime": "0.004"})
-    assert [line.why for line in found.refused] == [
-        "several periods are not translated: 0.004 s (block), 0.01 s (--dt)"
-    ]
+    assert [line.why for line in found.refused] == ["0.004 s (block) is no multiple of 0.01 s (--dt)"]
 
 
 def test_the_time_of_an_import_grows_with_the_blocks(tmp_path: Path) -> None:

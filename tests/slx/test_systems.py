@@ -194,3 +194,47 @@ def test_conditions_without_an_equivalent_are_refused_by_path(tmp_path: Path) ->
         ("shown", "ShowOutputPort of its EnablePort is not translated"),
         ("all", "a subsystem with a ForEach is not translated"),
     }
+
+
+def test_blocks_of_several_sample_times_run_at_their_own_ticks(tmp_path: Path) -> None:
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("ZeroOrderHold", "slow", {"SampleTime": "0.04"}),
+        ("Sum", "sum", {"Ports": "[2, 1]"}),
+        ("UnitDelay", "z", {}),
+        ("RateTransition", "up", {"OutPortSampleTime": "0.01", "InitialCondition": "5"}),
+        ("UnitDelay", "late", {"SampleTime": "[0.06 0.02]"}),
+        ("Sum", "both", {"Ports": "[2, 1]"}),
+        ("Outport", "direct", {}),
+        ("Outport", "passed", {"Port": "2"}),
+        ("Outport", "sixth", {"Port": "3"}),
+    ]
+    lines = [("u", "slow"), ("slow", "sum:1"), ("z", "sum:2"), ("sum", "z"), ("sum", "up"), ("sum", "both:1")]
+    lines += [("u", "both:2"), ("both", "direct"), ("up", "passed"), ("u", "late"), ("late", "sixth")]
+    found = import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")))
+    assert found.dt == 0.01
+    got = flown(found, u=DRAWN[0])
+    slow = np.cumsum(DRAWN[0][::4])
+    ticks = np.arange(STEPS)
+    # A block reads a slower signal as it is held; a Rate Transition to a faster one is late by a slow sample.
+    assert np.array_equal(got["direct"], slow[ticks // 4] + DRAWN[0])
+    assert np.array_equal(got["passed"], np.r_[5.0, slow][ticks // 4])
+    sixth = DRAWN[0][2::6]
+    last = (ticks - 2) // 6
+    assert np.array_equal(got["sixth"], np.where(last < 1, 0.0, sixth[np.maximum(last - 1, 0)]))
+
+
+def test_sample_times_without_a_common_period_are_refused(tmp_path: Path) -> None:
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("UnitDelay", "a", {"SampleTime": "pi/100"}),
+        ("UnitDelay", "b", {"SampleTime": "exp(1)/100"}),
+        ("Outport", "y", {}),
+    ]
+    path = model_of(blocks, [("u", "a"), ("a", "b"), ("b", "y")], tmp_path / "m.slx")
+    refused = [line.why for line in import_system(read_model(path)).refused]
+    assert refused == ["these periods have no common one: 0.0271828 s (b), 0.0314159 s (a)"]
+    given = {"a": {"SampleTime": "0.02"}, "b": {"SampleTime": "0.03"}}
+    blocks = [(kind, name, given.get(name, values)) for kind, name, values in blocks]
+    path = model_of(blocks, [("u", "a"), ("a", "b"), ("b", "y")], tmp_path / "n.slx")
+    assert import_system(read_model(path)).dt == 0.01

@@ -78,6 +78,8 @@ class ControlEdge(Block):
     has no edge.
     """
 
+    crossing = True
+
     def __init__(self, edge: str, kind: str = "real", reset: bool = False) -> None:
         self.edge, self.kind, self.reset = edge, kind, reset
         self.inputs = [Port("u", kind)]

@@ -8,6 +8,7 @@ report says for each block whether it was imported, approximated, dropped or ref
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,8 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
-from twodof.blocks.library import Constant, Logic, Merge, ZeroOrderHold
+from twodof.blocks.diagram import BASE, Rate
+from twodof.blocks.library import Constant, Logic, Merge, RateTransition, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, INPUTS, RULES, check_inputs
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition, ControlEdge, conditions_of
@@ -31,6 +33,7 @@ from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction, last_index
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
 from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, port_number, read_model
+from twodof.slx.rates import CONTINUOUS, base_period, inherited
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, plain
 
 Output = tuple[str, str, int]
@@ -132,6 +135,9 @@ class _Import:
         self.names = {**names, **workspace}
         self.sheets: dict[str, _Sheet] = {}
         self.conditions: dict[str, list[Condition]] = {}
+        self.times: dict[tuple[str, str], tuple[float, float]] = {}
+        self.rates: dict[tuple[str, str], Rate] = {}
+        self.held: dict[tuple[str, str], Rate] = {}
         self.code = {collapsed(one.path): one.text for one in model.charts if one.function}
         self.blocks: dict[tuple[str, str], SimulinkBlock] = {}
         self.made: dict[tuple[str, str], Made] = {}
@@ -146,6 +152,7 @@ class _Import:
         for key, block in self.blocks.items():
             if block.type in ("Inport", "InportShadow") and key[0] == self.path:
                 self._try(key, partial(self._inport, key, block))
+        self._rates()
         self._infer()
         diagram = None if any(line.status == "refused" for line in self.report) else self._diagram(self.path)
         if any(line.status == "refused" for line in self.report):  # what only the connections show
@@ -294,36 +301,68 @@ class _Import:
         return active[0]
 
     def _period(self) -> float:
-        """Return the one period of all blocks [s]. Raises DiagramError where there are several, or none."""
+        """Return the base period [s], and note the blocks' own times. Raises DiagramError where there is none."""
         found: dict[float, str] = {}
-        for (path, _), block in self.blocks.items():
-            text = {**block.values, **block.instance}.get("SampleTime", "-1")
-            if text in ("-1", "inf", "0", "[0, 0]", "[0 0]", "[-1, 0]", "") or block.type in DROPPED:
+        for key, block in self.blocks.items():
+            values = {**block.values, **block.instance}
+            text = values.get("OutPortSampleTime" if block.type == "RateTransition" else "SampleTime", "-1")
+            if text in ("-1", "inf", "[-1, 0]", "") or block.type in DROPPED or block.commented:
                 continue
+            where = f"{key[0]}/{escaped(block.name)}".lstrip("/")
             try:
-                values = number(evaluate(text, self.sheets[path].names, "SampleTime"))
-            except DiagramError as reason:
-                where = f"{path}/{escaped(block.name)}".lstrip("/")
-                self.report.append(ReportLine(where, block.kind, "refused", f"parameter SampleTime: {reason.what}"))
+                time = number(evaluate(text, self.sheets[key[0]].names, "SampleTime")).astype(float).flatten()
+            except (DiagramError, AttributeError) as reason:
+                why = reason.what if isinstance(reason, DiagramError) else "is not a number"
+                self.report.append(ReportLine(where, block.kind, "refused", f"parameter SampleTime: {why}"))
                 continue
-            if values.size and 0 < float(values.flat[0]) < float("inf"):
-                found.setdefault(float(values.flat[0]), f"{path}/{escaped(block.name)}".lstrip("/"))
-        if self.given_dt is not None:
-            found.setdefault(self.given_dt, "--dt")
-        if not found:
-            step = self.model.solver.get("FixedStep", "auto")
+            if time.size and 0 <= time[0] < float("inf"):
+                self.times[key] = (float(time[0]), float(time[1]) if time.size > 1 else 0.0)
+                found |= {one: where for one in self.times[key] if one > 0.0 and one not in found}
+        step = self.model.solver.get("FixedStep", "auto")
+        if not found or any(block.type in CONTINUOUS for block in self.blocks.values()):
             try:
-                found[float(number(evaluate(step, self.names, "FixedStep")).flat[0])] = "the fixed step"
+                found.setdefault(float(number(evaluate(step, self.names, "FixedStep")).flat[0]), "the fixed step")
             except (DiagramError, AttributeError):
-                raise DiagramError(
-                    f"no block and no fixed step ({step}) says the period", self.model.name, "give it with --dt SECONDS"
-                ) from None
-        if len(found) > 1:
-            several = ", ".join(f"{time:g} s ({where})" for time, where in sorted(found.items()))
-            self.report.append(
-                ReportLine("", "sample times", "refused", f"several periods are not translated: {several}")
-            )
-        return min(found)
+                if not found and self.given_dt is None:
+                    what = f"no block and no fixed step ({step}) says the period"
+                    raise DiagramError(what, self.model.name, "give it with --dt SECONDS") from None
+        try:
+            return base_period({time: where for time, where in found.items() if time > 0.0}, self.given_dt)
+        except NotTranslated as reason:
+            self.report.append(ReportLine("", "sample times", "refused", str(reason)))
+            return min(found)
+
+    def _rates(self) -> None:
+        """Find the rate of each block: its own, or that of its inputs."""
+        declared: dict[tuple[str, str], Rate] = {}
+        for key, (time, offset) in self.times.items():
+            if self.blocks[key].type != "Constant":
+                divider = max(round(time / self.dt), 1)
+                declared[key] = Rate(divider, round(offset / self.dt) % divider)
+        sources: dict[tuple[str, str], set[Output]] = {}
+        for key, block in self.blocks.items():
+            if block.type in CONTINUOUS:
+                declared[key] = BASE
+            if block.type not in _PASSING and not self._is_system(block) and not block.commented:
+                with suppress(NotTranslated):  # refused with the types
+                    self._await(key, sources)
+        feeding = {key: {one[:2] for one in found} for key, found in sources.items()}
+        for key, found in feeding.items():  # a Rate Transition without a time has that of what it feeds
+            for one in found:
+                if self.blocks[one].type == "RateTransition" and one not in self.times and key in declared:
+                    declared[one] = min(declared[key], declared.get(one, declared[key]))
+        for key, block in self.blocks.items():  # an input without a time has that of what it feeds, if it is one
+            if block.type == "Inport" and key[0] == self.path and key not in declared:
+                fed = {declared.get(one) for one, found in feeding.items() if key in found}
+                declared[key] = next(iter(fed)) or BASE if len(fed) == 1 else BASE
+        self.rates = inherited(declared, feeding)
+
+    def _rate(self, key: tuple[str, str]) -> Rate | None:
+        """Return the rate at which a block's output changes; None of a constant."""
+        block = self.blocks[key]
+        if block.type in ("Inport", "InportShadow"):
+            return BASE
+        return None if block.type in ("Constant", "Ground") else self.held.get(key) or self.rates.get(key, BASE)
 
     # --- the types of the signals
 
@@ -487,8 +526,12 @@ class _Import:
             if block.kind in RULES:
                 check_inputs(block.kind, inputs)
             labels = [self._label(path, pin) for pin in self._inputs(key)]
-            asked = Asked(block, path, values, self.sheets[path].names, inputs, self.dt, labels)
-            made = self.made[key] = rule(asked)
+            dt = self.dt * self.rates.get(key, BASE).divider
+            asked = Asked(block, path, values, self.sheets[path].names, inputs, dt, labels)
+            made = rule(asked)
+            if block.type == "RateTransition":
+                made = self._transition(key, asked) or made
+            self.made[key] = made
             self.signals.update({(*key, k + 1): signal for k, signal in enumerate(made.outputs)})
             loose = [str(pin.number) for pin in self._inputs(key) if made.item and self._origin(path, pin) is None]
             notes = [*asked.notes, *([_SINGLE] if asked.text("OutDataTypeStr") == "single" else [])]
@@ -496,6 +539,20 @@ class _Import:
             self.approximated.setdefault(key, []).extend(notes)
 
         self._try(key, translate)
+
+    def _transition(self, key: tuple[str, str], c: Asked) -> Made | None:
+        """Return the delay of a Rate Transition whose input is slower; None where it only samples."""
+        origin = self._origin(key[0], self._inputs(key)[0])
+        before = None if origin is None else self._rate(origin[:2])
+        if (
+            before is None
+            or before.divider <= self.rates.get(key, BASE).divider
+            or c.text("Deterministic", "on") == "off"
+        ):
+            return None
+        self.held[key] = before
+        one, start = c.inputs[0], c.scalar("InitialCondition" if "InitialCondition" in c.values else "X0", "0")
+        return Made(RateTransition(plain(start, one.kind), one.kind, one.width), [one])
 
     def _matlab_function(self, key: tuple[str, str]) -> Rule:
         """Return the rule of a MATLAB Function: its code stands with the charts, by its path."""
@@ -582,7 +639,7 @@ class _Import:
         if made.item is None:
             self._report(path, sid, "dropped", "it shows or keeps a signal and computes nothing")
             return
-        diagram.add(names[sid], made.item, position=_corner(block))
+        diagram.add(names[sid], made.item, rate=self._rate((path, sid)) or BASE, position=_corner(block))
         self._report(path, sid, "imported")
 
     def _wire(self, diagram: Diagram, path: str, sid: str, block: SimulinkBlock, names: Mapping[str, str]) -> None:
@@ -607,6 +664,7 @@ class _Import:
             signal = self._type(path, pin) or Signal()
             if made.expand and width is not None and signal.width is None:
                 source = expanded(diagram, source, signal, width)
+            source = self._sampled(path, sid, pin, source)
             diagram.connect(source, f"{name}.{port}")
 
     def _initial(self, path: str) -> dict[str, Any]:
@@ -653,13 +711,13 @@ class _Import:
         edge = ControlEdge(condition.edge, signal.number, condition.pin == "reset")
         return self._helper(path, f"{sheet.parts[sid]}_{condition.pin}s", edge, source)
 
-    def _helper(self, path: str, wanted: str, block: LibraryBlock, *sources: str) -> str:
+    def _helper(self, path: str, wanted: str, block: LibraryBlock, *sources: str, rate: Rate = BASE) -> str:
         """Return the output of a block that no Simulink block stands for, added once to a sheet's diagram."""
         sheet = self.sheets[path]
         if wanted not in sheet.helpers:
             name = _safe(wanted, {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()})
             ports = [port.name for port in block.inputs]
-            sheet.diagram.add(name, block, inputs=dict(zip(ports, sources, strict=True)))
+            sheet.diagram.add(name, block, rate=rate, inputs=dict(zip(ports, sources, strict=True)))
             sheet.helpers[wanted] = f"{name}.{block.outputs[0].name}"
         return sheet.helpers[wanted]
 
@@ -687,6 +745,18 @@ class _Import:
                 diagram.output(name, within)
             return f"{sheet.parts[source[1]]}.{name}"
         raise NotTranslated(f"its input {pin.number} is not the output of a conditional subsystem")
+
+    def _sampled(self, path: str, sid: str, pin: Pin, source: str) -> str:
+        """Return a source for a block of another rate: it reads the signal at its own ticks."""
+        origin = self._origin(path, pin)
+        if self._is_system(self.blocks[path, sid]):
+            return source
+        before, own = None if origin is None else self._rate(origin[:2]), self._rate((path, sid)) or BASE
+        if before in (None, own):
+            return source
+        signal = self._type(path, pin) or Signal()
+        wanted = f"{source.replace('.', '_')}_every_{own.divider}" + (f"_{own.offset}" if own.offset else "")
+        return self._helper(path, wanted, ZeroOrderHold(signal.kind, signal.width), source, rate=own)
 
     def _name(self, path: str, source: tuple[str, str, int] | None, names: Mapping[str, str], diagram: Diagram) -> str:
         """Return the source's name in the diagram; an unconnected input is 0, as in Simulink."""
