@@ -202,3 +202,130 @@ def test_a_bus_in_itself_is_refused(tmp_path: Path) -> None:
 def test_a_whole_number_of_hexadecimal_digits_has_their_type() -> None:
     assert evaluate("0x1F", {}).dtype == np.uint8
     assert evaluate("0x0100 + 1", {})[0, 0] == 257
+
+
+# --- whole numbers
+
+INT8 = np.arange(-128, 128, dtype=np.int64).repeat(2)[:200]
+OTHER = np.random.default_rng(2).integers(-128, 128, 200)
+
+
+def wrapped(values: np.ndarray, kind: str) -> np.ndarray:
+    """The low bits of whole numbers, by numpy."""
+    return values.astype(np.int64).astype(kind)
+
+
+def saturated(values: np.ndarray, kind: str) -> np.ndarray:
+    limits = np.iinfo(kind)
+    return np.clip(values, limits.min, limits.max).astype(kind)
+
+
+WRAP, SATURATE = {"SaturateOnIntegerOverflow": "off"}, {"SaturateOnIntegerOverflow": "on"}
+
+
+def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
+    """Import a model of one block with inputs u1, u2, ... of these types."""
+    blocks = [("Inport", f"u{k}", {"Port": str(k), "OutDataTypeStr": one}) for k, one in enumerate(kinds, start=1)]
+    lines = [*((f"u{k}", f"b:{k}") for k in range(1, len(kinds) + 1)), ("b", "y")]
+    kind, values = block
+    return imported(tmp_path, [*blocks, (kind, "b", values), ("Outport", "y", {})], lines)
+
+
+@pytest.mark.parametrize(
+    ("block", "kinds", "given", "wanted"),
+    [
+        (("Sum", WRAP), ("int8", "int8"), (INT8, OTHER), wrapped(INT8 + OTHER, "int8")),
+        (("Sum", SATURATE), ("int8", "int8"), (INT8, OTHER), saturated(INT8 + OTHER, "int8")),
+        (("Sum", {"Inputs": "-+"}), ("uint8", "uint8"), (INT8 + 128, OTHER + 128), saturated(OTHER - INT8, "uint8")),
+        (("Sum", {"OutDataTypeStr": "int32", "Inputs": "+-+"}), ("uint8", "int8", "boolean"),
+         (INT8 + 128, OTHER, OTHER > 0), INT8 + 128 - OTHER + (OTHER > 0)),
+        (("Sum", WRAP), ("int32", "int32"), (INT8 << 24, OTHER << 24), wrapped((INT8 + OTHER) << 24, "int32")),
+        (("Sum", SATURATE), ("uint32", "uint32"), ((INT8 + 128) << 24, (OTHER + 128) << 24),
+         saturated((INT8 + OTHER + 256) << 24, "uint32")),
+        (("Product", WRAP), ("int16", "int16"), (INT8 * 251, OTHER * 7), wrapped(INT8 * 251 * OTHER * 7, "int16")),
+        (("Product", SATURATE), ("int16", "int16"), (INT8 * 251, OTHER * 7),
+         saturated(INT8 * 251 * OTHER * 7, "int16")),
+        (("Product", WRAP), ("uint32", "uint32"), ((INT8 + 128) << 20, (OTHER + 128) << 9),
+         wrapped(((INT8 + 128) << 20) * ((OTHER + 128) << 9), "uint32")),
+        (("Gain", {"Gain": "3", **WRAP}), ("uint8",), (INT8 + 128,), wrapped(3 * (INT8 + 128), "uint8")),
+        (("Gain", {"Gain": ".1", "OutDataTypeStr": "double", "ParamDataTypeStr": "double"}), ("int16",), (INT8,),
+         0.1 * INT8),
+        (("Abs", SATURATE), ("int8",), (INT8,), saturated(np.abs(INT8), "int8")),
+        (("Abs", WRAP), ("int8",), (INT8,), wrapped(np.abs(INT8), "int8")),
+        (("UnaryMinus", SATURATE), ("int8",), (INT8,), saturated(-INT8, "int8")),
+        (("Bias", {"Bias": "-100", **WRAP}), ("uint8",), (INT8 + 128,), wrapped(INT8 + 28, "uint8")),
+        (("MinMax", {"Function": "min", "Inputs": "2"}), ("int16", "int16"), (INT8, OTHER), np.minimum(INT8, OTHER)),
+        (("Saturate", {"LowerLimit": "-5", "UpperLimit": "inf"}), ("int8",), (INT8,), np.maximum(INT8, -5)),
+        (("DataTypeConversion", {"OutDataTypeStr": "uint8", **WRAP}), ("int32",), (OTHER * 1009,),
+         wrapped(OTHER * 1009, "uint8")),
+        (("DataTypeConversion", {"OutDataTypeStr": "uint16", **SATURATE}), ("int32",), (OTHER * 1009,),
+         saturated(OTHER * 1009, "uint16")),
+        (("DataTypeConversion", {"OutDataTypeStr": "fixdt(1,8,0)", **WRAP, "RndMeth": "Floor"}), ("double",),
+         (DRAWN[0] * 1e11,), wrapped(np.floor(DRAWN[0] * 1e11), "int8")),
+        (("DataTypeConversion", {"OutDataTypeStr": "int32", **WRAP, "RndMeth": "Zero"}), ("double",),
+         (DRAWN[0] * 1e11,), wrapped(np.trunc(DRAWN[0] * 1e11), "int32")),
+        (("DataTypeConversion", {"OutDataTypeStr": "boolean"}), ("int8",), (INT8,), INT8 != 0),
+        (("DataTypeConversion", {"OutDataTypeStr": "double"}), ("uint32",), ((INT8 + 128) << 24,), (INT8 + 128) << 24),
+        (("RelationalOperator", {"Operator": "<"}), ("uint8", "int8"), (INT8 + 128, OTHER), INT8 + 128 < OTHER),
+        (("RelationalOperator", {"Operator": ">="}), ("int8", "double"), (INT8, DRAWN[0] * 50), DRAWN[0] * 50 <= INT8),
+        (("RelationalOperator", {"Operator": "isNaN", "Ports": "[1, 1]"}), ("double",),
+         (np.where(INT8 > 9, np.nan, 1.0),), INT8 > 9),
+        (("CompareToConstant", {"relop": ">", "const": "7", "OutDataTypeStr": "uint8"}), ("uint8",), (INT8 + 128,),
+         INT8 + 128 > 7),
+        (("Bitwise Operator", {"logicop": "XOR", "BitMask": "85"}), ("uint8",), (INT8 + 128,), (INT8 + 128) ^ 85),
+        (("Bitwise Operator", {"logicop": "NOT", "UseBitMask": "off"}), ("uint16",), (INT8 + 128,), 65407 - INT8),
+        (("Bitwise Operator", {"logicop": "NAND", "UseBitMask": "off"}), ("int8", "int8"), (INT8, OTHER),
+         ~(INT8 & OTHER)),
+        (("ArithShift", {"BitShiftNumber": "2", "BitShiftDirection": "Left"}), ("uint8",), (INT8 + 128,),
+         wrapped((INT8 + 128) << 2, "uint8")),
+        (("ArithShift", {"BitShiftNumber": "3", "BitShiftDirection": "Right"}), ("int8",), (INT8,), INT8 >> 3),
+    ],
+)  # fmt: skip
+def test_whole_numbers_are_rounded_saturated_or_wrapped(
+    tmp_path: Path, block: tuple, kinds: tuple[str, ...], given: tuple[np.ndarray, ...], wanted: np.ndarray
+) -> None:
+    named = {"Bitwise Operator": "simulink/Logic and Bit Operations/Bitwise Operator"}
+    if block[0] in named:
+        block = ("Reference", {"SourceBlock": named[block[0]], **block[1]})
+    found = flown(of_kinds(tmp_path, block, kinds), {f"u{k + 1}": one for k, one in enumerate(given)})
+    assert np.array_equal(found["y"], wanted)
+
+
+@pytest.mark.parametrize(
+    ("rounding", "wanted"),
+    [
+        ("Floor", [-3, -2, -1, 0, 0, 0, 1, 2]),
+        ("Ceiling", [-2, -1, 0, 0, 1, 1, 2, 3]),
+        ("Zero", [-2, -1, 0, 0, 0, 0, 1, 2]),
+        ("Nearest", [-2, -1, 0, 0, 0, 1, 2, 3]),
+        ("Round", [-3, -2, -1, 0, 0, 1, 2, 3]),
+        ("Convergent", [-2, -2, 0, 0, 0, 0, 2, 2]),
+    ],
+)
+def test_each_rounding_goes_where_simulink_says(tmp_path: Path, rounding: str, wanted: list[int]) -> None:
+    block = ("DataTypeConversion", {"OutDataTypeStr": "int8", "RndMeth": rounding})
+    given = np.array([-2.5, -1.5, -0.5, 0.0, 0.25, 0.5, 1.5, 2.5])
+    found = of_kinds(tmp_path, block, ("double",))
+    assert flown(found, {"u1": given}, 8)["y"].tolist() == wanted
+
+
+@pytest.mark.parametrize(
+    ("block", "kinds", "said"),
+    [
+        (("Gain", {"Gain": ".5"}), ("int8",), "its scaling is not known"),
+        (("Product", {"Inputs": "*/"}), ("int8", "int8"), "Inputs = '*/' of int8 is not translated"),
+        (("Sum", {"OutDataTypeStr": "Inherit: Inherit via internal rule"}), ("int8", "int16"), "of int16 and int8"),
+        (("Sum", {"OutDataTypeStr": "fixdt(1,16,11)"}), ("double", "double"), "the data type 'fixdt(1,16,11)'"),
+        (("CompareToConstant", {"const": "2.5"}), ("uint8",), "a comparison of uint8 with 2.5"),
+    ],
+)
+def test_what_the_file_does_not_say_is_refused(tmp_path: Path, block: tuple, kinds: tuple[str, ...], said: str) -> None:
+    (refused,) = of_kinds(tmp_path, block, kinds).refused
+    assert said in refused.why
+
+
+def test_a_sum_begins_with_the_first_that_is_added(tmp_path: Path) -> None:
+    a, b, c = DRAWN
+    found = of_kinds(tmp_path, ("Sum", {"Inputs": "--+"}), ("double",) * 3)
+    assert np.array_equal(flown(found, {"u1": a, "u2": b, "u3": c})["y"], (c - a) - b)
+    assert not np.array_equal((c - a) - b, (-a - b) + c)

@@ -5,6 +5,7 @@ a small diagram. What it does not cover it refuses by the parameter's name. Math
 left to right; a Discrete Derivative keeps the scaled input, and so on: each function follows that order of operations.
 """
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,14 +14,11 @@ from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.expressions.numbers import INTEGERS, KINDS, STORED
+from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.blocks.library import (
-    Abs,
-    Bias,
-    Compare,
     CompareToConstant,
     Concatenate,
     Constant,
-    Convert,
     DeadZone,
     Demux,
     DotProduct,
@@ -28,12 +26,9 @@ from twodof.blocks.library import (
     Gain,
     Logic,
     MatrixGain,
-    Maximum,
-    Minimum,
     Mux,
     Product,
     Rounding,
-    Saturation,
     Selector,
     Sign,
     Sum,
@@ -42,8 +37,8 @@ from twodof.blocks.library import (
     Trigonometry,
     ZeroOrderHold,
 )
-from twodof.blocks.library import Atan2 as Atan2Block
-from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN
+from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
+from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, formula
 from twodof.slx.conditions import CONDITION_RULES
 from twodof.slx.data_types import BUS_RULES, kind_of, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
@@ -67,9 +62,11 @@ def _constant(c: Asked) -> Made:
 
 
 def _gain(c: Asked) -> Made:
-    c.kind("real")
     gain = c.value("Gain", "1")
     mode = c.text("Multiplication", "Element-wise(K.*u)")
+    if gain.size == 1 and (made := whole_gain(c, float(gain.flat[0]))) is not None:
+        return made
+    c.kind("real")
     if gain.size == 1 and (mode.startswith("Element") or c.width is None):
         return same(c, Gain(float(gain.flat[0]), c.width))
     if mode.startswith("Element"):
@@ -98,31 +95,29 @@ def _signs(c: Asked, default: str, one: str, known: str) -> str:
 
 
 def _sum(c: Asked) -> Made:
-    kind, signs = c.kind("real", "int32", "uint32"), _signs(c, "++", "+", "+-")
-    if len(signs) == 1:
-        if c.width is None:
-            return same(c, Sum(signs, kind), kind)
-        if signs == "-" or kind != "real":
+    signs = _signs(c, "++", "+", "+-")
+    if len(signs) == 1 and c.width is not None:
+        c.kind("real")
+        if signs == "-":
             raise NotTranslated("a sum of elements with a minus is not translated")
         return Made(SumOfElements(c.width), [Signal()])
-    return same(c, Sum(signs, kind, c.width), kind)
+    made = whole_sum(c, signs)
+    if made is None and len(signs) > 2 and signs[0] == "-" and "+" in signs:
+        return formula(c, lambda t, *v: signed_sum(signs, *v))
+    return made or same(c, Sum(signs, "real", c.width))
 
 
 def _product(c: Asked) -> Made:
-    c.kind("real")
     if c.text("Multiplication", "Element-wise(.*)") != "Element-wise(.*)" and c.width is not None:
         raise NotTranslated("a product of matrices is not translated")
     signs = _signs(c, "2", "*", "*/")
+    if (made := whole_product(c, signs)) is not None:
+        return made
     if len(signs) == 1:
         if c.width is not None:
             raise NotTranslated("a product of elements is not translated")
         return same(c, Elementary("reciprocal") if signs == "/" else Gain(1.0))
     return same(c, Product(signs, c.width))
-
-
-def _saturate(c: Asked) -> Made:
-    kind = c.kind("real")
-    return same(c, Saturation(c.scalar("LowerLimit", "-0.5"), c.scalar("UpperLimit", "0.5"), kind, c.width))
 
 
 def _mux(c: Asked) -> Made:
@@ -205,6 +200,8 @@ def _switch(c: Asked) -> Made:
     if control.kind != "bool":
         operation = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
         threshold = 0.0 if criterion == "u2 ~= 0" else c.scalar("Threshold", "0")
+        if control.kind != "real" and not threshold.is_integer():
+            raise NotTranslated(f"a comparison of {control} with Threshold = {threshold:g} is not translated")
         d.add("condition", CompareToConstant(operation, threshold, control.kind), u="u2")
         condition = "condition"
     elif criterion != "u2 ~= 0" and not _OF_BOOLEAN[criterion](c.scalar("Threshold", "0")):
@@ -246,25 +243,6 @@ def _trigonometry(c: Asked) -> Made:
     return same(c, Trigonometry(name, c.width))
 
 
-def _relational(c: Asked) -> Made:
-    kind = c.kind("real", "bool", "int32", "uint32")
-    name = c.text("Operator", c.text("Function", ">="))
-    operations = {"==": "==", "~=": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="}
-    if name not in operations:
-        raise NotTranslated(f"Operator = {name!r} is not translated")
-    return Made(Compare(operations[name], kind, c.width), [Signal("bool", c.width)])
-
-
-def _compare_to(value: Callable[[Asked], float]) -> Rule:
-    def made(c: Asked) -> Made:
-        kind = c.kind("real", "int32", "uint32")
-        operation = c.pick("relop", "<=", {"==": "==", "~=": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="})
-        c.needs("OutDataTypeStr", "boolean", "boolean", "uint8")
-        return Made(CompareToConstant(operation, value(c), kind, c.width), [Signal("bool", c.width)])
-
-    return made
-
-
 def _logic(c: Asked) -> Made:
     name = c.text("Operator", c.text("Function", "AND")).lower()
     if name not in ("and", "or", "xor", "nand", "nor", "not"):
@@ -281,41 +259,6 @@ def _logic(c: Asked) -> Made:
         d.connect(source, f"y.{port.name}")
     d.output("y", "y")
     return Made(d, [output])
-
-
-def _min_max(c: Asked) -> Made:
-    kind = c.kind("real", "int32", "uint32")
-    block = {"min": Minimum, "max": Maximum}[c.needs("Function", "min", "min", "max")]
-    if len(c.inputs) == 1:
-        if c.width is not None:
-            raise NotTranslated("the smallest or largest element of one input is not translated")
-        return Made(ZeroOrderHold(kind), [Signal(kind)])
-    return same(c, block(len(c.inputs), kind, c.width), kind)
-
-
-def _convert(c: Asked) -> Made:
-    one, said = c.inputs[0], c.text("OutDataTypeStr", "Inherit: Inherit via back propagation")
-    if said.startswith("Inherit"):
-        c.notes.append("the type is inherited from behind: that of the input is kept")
-        return passes(c)
-    kind = kind_of(said, c.names)
-    if not isinstance(kind, str) or not isinstance(one.kind, str):
-        raise NotTranslated(f"a conversion to {said} is not translated")
-    if kind == one.kind:
-        return passes(c)
-    if kind in ("int32", "uint32") and one.kind == "real":
-        if c.text("SaturateOnIntegerOverflow", "off") != "on":
-            c.notes.append("what does not fit the integer saturates, where Simulink wraps")
-        rounding = {
-            "Floor": "floor",
-            "Zero": "trunc",
-            "Ceiling": "ceil",
-            "Convergent": "half_even",
-            "Simplest": "trunc",
-        }
-        rounding |= dict.fromkeys(("Nearest", "Round"), "half_away")
-        return Made(Convert(one.kind, kind, c.pick("RndMeth", "Floor", rounding), one.width), [Signal(kind, one.width)])
-    return Made(Convert(one.kind, kind, width=one.width), [Signal(kind, one.width)])
 
 
 def _dot(c: Asked) -> Made:
@@ -341,15 +284,9 @@ RULES: dict[str, Rule] = {
     **CONDITION_RULES,
     **DYNAMIC_RULES,
     **BUS_RULES,
-    "Abs": lambda c: same(c, Abs(c.kind("real", "int32"), c.width), c.kind("real", "int32")),
-    "Bias": lambda c: same(c, Bias(c.scalar("Bias", "0.0"), c.width)),
-    "CompareToConstant": _compare_to(lambda c: c.scalar("const", "3.0")),
-    "Compare To Constant": _compare_to(lambda c: c.scalar("const", "3.0")),
-    "Compare To Zero": _compare_to(lambda c: 0.0),
-    "CompareToZero": _compare_to(lambda c: 0.0),
+    **ARITHMETIC_RULES,
     "Concatenate": _mux,
     "Constant": _constant,
-    "DataTypeConversion": _convert,
     "DeadZone": lambda c: same(c, DeadZone(c.scalar("LowerValue", "-0.5"), c.scalar("UpperValue", "0.5"), c.width)),
     "Demux": _demux,
     "DotProduct": _dot,
@@ -357,13 +294,10 @@ RULES: dict[str, Rule] = {
     "Ground": lambda c: Made(Constant(0.0), [Signal()]),
     "Logic": _logic,
     "Math": _function(Elementary, MATH),
-    "MinMax": _min_max,
     "Mux": _mux,
     "Product": _product,
-    "RelationalOperator": _relational,
     "RateTransition": passes,
     "Rounding": _function(Rounding, {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}),
-    "Saturate": _saturate,
     "Selector": _selector,
     "SignalSpecification": passes,
     "Signum": lambda c: same(c, Sign(c.kind("real"), c.width)),
@@ -371,7 +305,7 @@ RULES: dict[str, Rule] = {
     "Sum": _sum,
     "Switch": _switch,
     "Trigonometry": _trigonometry,
-    "UnaryMinus": lambda c: same(c, Sum("-", c.kind("real"), c.width)),
+    "UnaryMinus": lambda c: whole(c, operator.neg) or same(c, Sum("-", "real", c.width)),
     "ZeroOrderHold": passes,
     **dict.fromkeys(DROPPED, _dropped),
 }
@@ -383,8 +317,8 @@ TAKES_BUSES = (
     *("SignalSpecification", "Switch", "UnitDelay", "ZeroOrderHold", *DROPPED),
 )
 TAKES_SMALL = (
-    *(*TAKES_BUSES, "DataTypeConversion", "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
-    "SwitchCase",
+    *(*TAKES_BUSES, *ARITHMETIC_RULES, "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
+    *("Gain", "Logic", "Product", "Sum", "SwitchCase", "UnaryMinus"),
 )
 """Types that take integers of 8 and 16 bits."""
 TAKES_MATRICES = ("BusAssignment", "BusCreator", *DROPPED)

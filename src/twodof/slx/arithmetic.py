@@ -1,0 +1,254 @@
+"""Arithmetic of whole numbers as Simulink defines it: types of results, rounding, overflow; comparisons, logic, bits.
+
+A result is computed without a bound, then rounded and brought into its type: saturated, or wrapped around. What a
+block's missing parameters mean stands in Simulink's own defaults: Same as first input, saturated.
+Source: Simulink reference, blocks Sum, Product, Gain, Data Type Conversion, Shift Arithmetic, Bitwise Operator.
+"""
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from functools import partial, reduce
+from typing import Any
+
+from twodof.blocks.elementary.functions import ceil, floor, round_half_away, round_half_even, trunc
+from twodof.blocks.elementwise import clamp
+from twodof.blocks.expressions.conversions import to_stored
+from twodof.blocks.expressions.expr import convert, where
+from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, STORED, WORDS
+from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Maximum, Minimum, Saturation
+from twodof.slx.composite_blocks import formula
+from twodof.slx.data_types import kind_of
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, passes, same
+
+ROUNDING: Mapping[str, Callable[[Any], Any]] = {
+    "Floor": floor,
+    "Zero": trunc,
+    "Ceiling": ceil,
+    "Convergent": round_half_even,
+    "Nearest": lambda v: floor(v + 0.5),
+    "Round": round_half_away,
+    "Simplest": trunc,
+}
+COMPARED = {"==": "==", "~=": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="}
+_OPERATIONS = {"==": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le}
+_OPERATIONS |= {">": operator.gt, ">=": operator.ge}
+
+
+def exact(c: Asked) -> Callable[[Any], Any]:
+    """Return the conversion of a block's numbers: to float64, which holds whole numbers, or to real beside a real."""
+    return partial(convert, kind="real" if any(one.kind == "real" for one in c.inputs) else "float64")
+
+
+def fitted(value: Any, kind: str, saturate: bool, rounding: str) -> Any:
+    """Return a float as a number of `kind`; NaN gives 0."""
+    if kind == "real":
+        return convert(value, "real")
+    if kind == "bool":
+        return value != 0.0
+    whole = ROUNDING[rounding](value)
+    if not saturate:
+        span = float(BY_NAME[kind].high - BY_NAME[kind].low + 1)
+        whole = whole - floor(whole / span) * span
+        whole = where(whole > float(BY_NAME[kind].high), whole - span, whole)
+    return to_stored(whole, kind, "saturate") if kind in STORED else convert(whole, kind)
+
+
+def whole(c: Asked, of: Callable[..., Any], default: str = "Inherit: Same as first input") -> Made | None:
+    """Return the block of an operation on whole numbers, of `of` of exact numbers; None where all is real."""
+    said = c.text("OutDataTypeStr", default)
+    kinds = {one.number for one in c.inputs}
+    if said.startswith("Inherit: Same as"):
+        kind = c.inputs[0].number
+    elif said.startswith("Inherit"):
+        kind = "real" if "real" in kinds else min(kinds)
+        if kind != "real" and len(kinds) > 1:
+            raise NotTranslated(f"OutDataTypeStr = {said!r} of {' and '.join(sorted(kinds))} is not translated")
+    else:
+        kind = str(kind_of(said, c.names))
+    if kinds == {"real"} and kind == "real":
+        return None
+    if kind not in ("real", *INTEGERS):
+        raise NotTranslated(f"a result of the type {kind} is not translated")
+    if kind in INTEGERS and said.startswith("Inherit: Inherit via internal rule"):
+        c.notes.append(f"the internal rule for whole numbers: the type {kind} of the inputs is kept")
+    saturate, rounding = _saturates(c), c.needs("RndMeth", "Floor", *ROUNDING)
+    return formula(c, lambda t, *v: fitted(of(*map(exact(c), v)), kind, saturate, rounding), kind)
+
+
+def _saturates(c: Asked) -> bool:
+    return c.text("SaturateOnIntegerOverflow", c.text("DoSatur", "on")) == "on"
+
+
+def whole_sum(c: Asked, signs: str) -> Made | None:
+    """Return a sum of whole numbers; None where all is real."""
+    accumulator = c.text("AccumDataTypeStr", "Inherit: Inherit via internal rule")
+    many = len(signs) > 2 and _saturates(c) and {one.number for one in c.inputs} != {"real"}
+    if many and not accumulator.startswith("Inherit: Inherit via internal rule"):
+        raise NotTranslated(f"AccumDataTypeStr = {accumulator!r} of more than two numbers is not translated")
+    return whole(c, partial(signed_sum, signs))
+
+
+def signed_sum(signs: str, *terms: Any) -> Any:
+    """Return the sum of terms with their signs, which begins with the first of those that are added."""
+    first = max(signs.find("+"), 0)
+    total = terms[first] if signs[first] == "+" else -terms[first]
+    for k, (sign, term) in enumerate(zip(signs, terms, strict=True)):
+        if k != first:
+            total = total + term if sign == "+" else total - term
+    return total
+
+
+def whole_product(c: Asked, signs: str) -> Made | None:
+    """Return a product of whole numbers; None where all is real."""
+    kinds, said = {one.number for one in c.inputs}, c.text("OutDataTypeStr", "Inherit: Same as first input")
+    wanted = min(kinds) if said.startswith("Inherit") else kind_of(said, c.names)
+    if kinds == {"real"} and wanted == "real":
+        return None
+    c.values.setdefault("RndMeth", "Zero")
+    if ("/" in signs and kinds != {"real"}) or len(signs) > 2:
+        raise NotTranslated(f"Inputs = {signs!r} of {' and '.join(sorted(kinds))} is not translated")
+    if not _saturates(c) and kinds == {wanted} and kinds <= set(WORDS):  # the low bits of a product of 64 bits
+        return formula(c, lambda t, *v: reduce(operator.mul, v), kinds.pop())
+    ratio = {"*": operator.mul, "/": operator.truediv}[signs[-1]]
+    return whole(c, lambda a, b=1.0: ratio(1.0 / a if signs[0] == "/" else a, b))
+
+
+def whole_gain(c: Asked, gain: float) -> Made | None:
+    """Return a gain of whole numbers; None where all is real. A gain of whole numbers must be whole itself."""
+    real = c.text("ParamDataTypeStr", "") in ("double", "single") or c.inputs[0].number == "real"
+    if not real and not gain.is_integer():
+        raise NotTranslated(f"Gain = {gain:g} of {c.inputs[0]} is not translated: its scaling is not known")
+    return whole(c, lambda u: u * gain)
+
+
+def _absolute(c: Asked) -> Made:
+    return whole(c, abs) or same(c, Abs(c.kind("real"), c.width))
+
+
+def _bias(c: Asked) -> Made:
+    bias = c.scalar("Bias", "0.0")
+    if c.inputs[0].number != "real" and not bias.is_integer():
+        raise NotTranslated(f"Bias = {bias:g} of {c.inputs[0]} is not translated")
+    return whole(c, lambda u: u + bias) or same(c, Bias(bias, c.width))
+
+
+def _saturate(c: Asked) -> Made:
+    low, high = c.scalar("LowerLimit", "-0.5"), c.scalar("UpperLimit", "0.5")
+    if c.inputs[0].number != "real" and not all(v.is_integer() or math.isinf(v) for v in (low, high)):
+        raise NotTranslated(f"limits {low:g} and {high:g} of {c.inputs[0]} are not translated")
+    return whole(c, lambda u: clamp(low, high, u)) or same(c, Saturation(low, high, "real", c.width))
+
+
+def _min_max(c: Asked) -> Made:
+    name = c.needs("Function", "min", "min", "max")
+    if len(c.inputs) == 1:
+        if c.width is not None:
+            raise NotTranslated("the smallest or largest element of one input is not translated")
+        return passes(c)
+    lower = lambda a, b: where(a < b, a, b) if name == "min" else where(b < a, a, b)  # noqa: E731
+    made = whole(c, lambda *v: reduce(lower, v), "Inherit: Inherit via internal rule")
+    return made or same(c, {"min": Minimum, "max": Maximum}[name](len(c.inputs), "real", c.width))
+
+
+def _convert(c: Asked) -> Made:
+    said = c.text("OutDataTypeStr", "Inherit: Inherit via back propagation")
+    if said.startswith("Inherit"):
+        c.notes.append("the type is inherited from behind: that of the input is kept")
+        return passes(c)
+    kind, rounding = kind_of(said, c.names), c.needs("RndMeth", "Zero", *ROUNDING)
+    if kind == c.inputs[0].kind:
+        return passes(c)
+    if not isinstance(kind, str) or not isinstance(c.inputs[0].kind, str):
+        raise NotTranslated(f"a conversion of {c.inputs[0]} to {said} is not translated")
+    if said.startswith("Enum"):
+        c.notes.append("a number that is no member stays itself, where Simulink takes the default one")
+    saturate = _saturates(c)
+    return formula(c, lambda t, u: fitted(exact(c)(u), str(kind), saturate, rounding), kind)
+
+
+# --- truth
+
+
+def _truth(c: Asked, of: Callable[..., Any], block: Any = None) -> Made:
+    """Return the block of a condition: bool, or the 0 and 1 of another type."""
+    said = c.text("OutDataTypeStr", "boolean")
+    kind = "bool" if said.startswith("Inherit") else str(kind_of(said, c.names))
+    if kind == "bool" and block is not None:
+        return Made(block(), [Signal("bool", c.width)])
+    return formula(c, lambda t, *v: convert(of(*map(exact(c), v)), kind), kind)
+
+
+def _relational(c: Asked) -> Made:
+    name = c.text("Operator", c.text("Function", ">="))
+    if name in ("isNaN", "isInf", "isFinite"):
+        tests = {
+            "isNaN": lambda u: u != u,
+            "isInf": lambda u: abs(u) == math.inf,
+            "isFinite": lambda u: abs(u) < math.inf,
+        }
+        return _truth(c, tests[name])
+    if name not in COMPARED:
+        raise NotTranslated(f"Operator = {name!r} is not translated")
+    kinds = {one.number for one in c.inputs}
+    plain = len(kinds) == 1 and not kinds & set(STORED)
+    block = (lambda: Compare(COMPARED[name], c.inputs[0].kind, c.width)) if plain else None
+    return _truth(c, _OPERATIONS[COMPARED[name]], block)
+
+
+def _compare_to(value: Callable[[Asked], float]) -> Rule:
+    def made(c: Asked) -> Made:
+        kind, wanted = c.inputs[0].number, value(c)
+        operation = c.pick("relop", "<=", dict(COMPARED))
+        if kind != "real" and not wanted.is_integer():
+            raise NotTranslated(f"a comparison of {c.inputs[0]} with {wanted:g} is not translated")
+        library = kind in ("real", *WORDS)
+        block = (lambda: CompareToConstant(operation, wanted, kind, c.width)) if library else None
+        return _truth(c, lambda u: _OPERATIONS[operation](u, wanted), block)
+
+    return made
+
+
+# --- bits
+
+
+def _bits(c: Asked) -> Made:
+    """Combine the bits of whole numbers with one another, or with a mask."""
+    kind, name = c.kind(*INTEGERS), c.needs("logicop", "AND", "AND", "OR", "NAND", "NOR", "XOR", "NOT")
+    mask = [int(c.scalar("BitMask", "0"))] if c.text("UseBitMask", "on") == "on" and name != "NOT" else []
+    combine = {"A": operator.and_, "O": operator.or_, "X": operator.xor}[name.removeprefix("N")[0]]
+    word = "uint32" if kind == "uint32" else "int32"
+
+    def of(t: Any, *values: Any) -> Any:
+        found = reduce(combine, [*(convert(v, word) for v in values), *mask])
+        return convert(~found if name[0] == "N" else found, kind)
+
+    return formula(c, of, kind)
+
+
+def _shift(c: Asked) -> Made:
+    """Shift the bits of a whole number: to the left they get lost, to the right the sign stays."""
+    kind = c.inputs[0].number
+    direction = c.needs("BitShiftDirection", "Bidirectional", "Left", "Right", "Bidirectional")
+    c.needs("BitShiftNumberSource", "Dialog", "Dialog")
+    count = int(c.scalar("BitShiftNumber", "0")) * (-1 if direction == "Left" else 1)
+    if kind not in INTEGERS or c.scalar("BinPtShiftNumber", "0") or abs(count) > 31:
+        raise NotTranslated(f"a shift of {c.inputs[0]} by {count} is not translated")
+    word = "uint32" if kind == "uint32" else "int32"
+    shift = operator.rshift if count > 0 else operator.lshift
+    return formula(c, lambda t, u: convert(shift(convert(u, word), abs(count)), kind), kind)
+
+
+ARITHMETIC_RULES: dict[str, Rule] = {
+    "Abs": _absolute,
+    "ArithShift": _shift,
+    "Bias": _bias,
+    "Bitwise Operator": _bits,
+    **dict.fromkeys(("CompareToConstant", "Compare To Constant"), _compare_to(lambda c: c.scalar("const", "3.0"))),
+    **dict.fromkeys(("CompareToZero", "Compare To Zero"), _compare_to(lambda c: 0.0)),
+    "DataTypeConversion": _convert,
+    "MinMax": _min_max,
+    "RelationalOperator": _relational,
+    "Saturate": _saturate,
+}
+"""Rules of the blocks whose types decide what they compute."""
