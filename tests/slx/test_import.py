@@ -238,7 +238,7 @@ def test_the_time_of_an_import_grows_with_the_blocks(tmp_path: Path) -> None:
 def test_what_is_not_translated_is_refused_by_path_and_parameter_all_at_once(tmp_path: Path) -> None:
     blocks = [
         ("Inport", "u", {}),
-        ("DiscreteIntegrator", "sum of q", {"ExternalReset": "rising"}),
+        ("DiscreteIntegrator", "sum of q", {"ShowStatePort": "on"}),
         ("Gain", "k", {"Gain": "1/m"}),
         ("IGRF", "field", {}),
         ("Outport", "y", {}),
@@ -248,7 +248,7 @@ def test_what_is_not_translated_is_refused_by_path_and_parameter_all_at_once(tmp
     assert found.diagram is None
     assert [(line.path, line.status) for line in found.report if line.status == "not reached"] == []
     assert {(line.path, line.why) for line in found.refused} == {
-        ("sum of q", "ExternalReset = 'rising' is not translated"),
+        ("sum of q", "ShowStatePort = 'on' is not translated"),
         ("k", "parameter Gain: 1/m: m has no value"),
         ("field", "the block type IGRF is not translated"),
     }

@@ -237,6 +237,13 @@ def _trigonometry(c: Asked) -> Made:
     name = c.text("Operator", c.text("Function", "sin"))
     if name == "atan2":
         return same(c, Atan2Block(c.width))
+    if name == "sincos":
+        c.notes.append("sin and cos are the language's own: within 2.5 units in the last place of the C library's")
+        d = Diagram("sincos")
+        d.input("u", width=c.width)
+        for one in ("sin", "cos"):
+            d.output(one, d.add(f"{one}e", Trigonometry(one, c.width), u="u"))
+        return Made(d, [Signal("real", c.width)] * 2)
     if name not in ("sin", "cos", "tan", "asin", "acos", "atan", "tanh"):
         raise NotTranslated(f"Operator = {name!r} is not translated")
     c.notes.append(f"{name} is the language's own: within 2.5 units in the last place of the C library's")

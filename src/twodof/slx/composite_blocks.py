@@ -195,6 +195,24 @@ def _wrap(c: Asked) -> Made:
     return formula(c, lambda t, u: where(u > most, 0.0, u))
 
 
+def _flip_flop(c: Asked) -> Made:
+    """Return Q and not Q of a set and a reset, whose table gives 0 for both where both are true."""
+    if any(one.kind != "bool" or one.width is not None for one in c.inputs):
+        raise NotTranslated("its inputs are not single booleans")
+
+    def held(t: Any, s: Any, r: Any, x: Any) -> Any:
+        return ~r & (s | x)
+
+    state = {"x": (bool(c.scalar("initial_condition", "0")), held)}
+    d, bools = Diagram("flip_flop"), [Signal("bool")] * 2
+    sources = {"u1": d.input("s", "bool"), "u2": d.input("r", "bool")}
+    d.add("Q", Formula(held, bools, bools[0], state), inputs=sources)
+    d.add("notQ", Formula(lambda t, s, r, x: ~s & (r | ~x), bools, bools[0], state), inputs=sources)
+    for name in ("Q", "notQ"):
+        d.output(name, f"{name}.y")
+    return Made(d, bools)
+
+
 def _enabled_delay(c: Asked) -> Made:
     start = c.scalar("vinit", "0.0")
     if c.inputs[1].kind != "bool":
@@ -542,6 +560,7 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Saturation Dynamic": _one_input(lambda up, u, low: where(u > up, up, where(u < low, low, u))),
     "SignalConversion": passes,
     "SignalGenerator": _generator,
+    "S-R Flip-Flop": _flip_flop,
     "Sin": _sine,
     "Slider Gain": lambda c: Made(Gain(c.scalar("gain", "1"), c.width), [Signal("real", c.width)]),
     "Tapped Delay": _tapped,

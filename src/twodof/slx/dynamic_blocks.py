@@ -6,19 +6,26 @@ form II.
 
 import math
 import zlib
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from twodof.blocks import Diagram
+from twodof.blocks import Block, Diagram
+from twodof.blocks.action_group import resettable_integrator
 from twodof.blocks.bus import Bus
+from twodof.blocks.elementary.functions import floor
+from twodof.blocks.elementwise import port_series
+from twodof.blocks.expressions.expr import where
 from twodof.blocks.library import (
-    CompareToConstant,
     Constant,
     Delay,
+    Demux,
     DiscreteIntegrator,
     Gain,
     Integrator,
+    Mux,
     Noise,
     Product,
     Relay,
@@ -31,8 +38,10 @@ from twodof.blocks.library import (
     UnitDelay,
     ZeroOrderHold,
 )
+from twodof.slx.composite_blocks import Formula
+from twodof.slx.conditions import ControlEdge
 from twodof.slx.data_types import value_of
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, passes, plain, same
+from twodof.slx.translation import Asked, Item, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
 
 
 def _initial(c: Asked, *names: str) -> tuple[Any, Signal]:
@@ -57,32 +66,91 @@ def _unit_delay(c: Asked) -> Made:
 def _delay(c: Asked) -> Made:
     c.needs("DelayLengthSource", "Dialog", "Dialog")
     c.needs("InitialConditionSource", "Dialog", "Dialog")
-    c.needs("ExternalReset", "None", "None")
+    edge = _edge(c)
     if c.text("ShowEnablePort", "off") != "off":
         raise NotTranslated("ShowEnablePort is not translated")
     initial, signal = _initial(c, "InitialCondition")
     samples = int(c.scalar("DelayLength", "2"))
     if samples == 0:
         return Made(ZeroOrderHold(signal.kind, signal.width), [signal])
+    if edge:
+        return _resettable(c, Delay(samples, None, initial, signal.kind, signal.width), edge)
     return Made(Delay(samples, None, initial, signal.kind, signal.width), [signal])
 
 
 def _discrete_integrator(c: Asked) -> Made:
-    c.kind("real")
     method = c.text("IntegratorMethod", "Integration: Forward Euler").partition(": ")
     rules = {"Forward Euler": "forward", "Backward Euler": "backward", "Trapezoidal": "trapezoidal"}
-    if method[0] != "Integration" or method[2] not in rules:
+    if method[0] not in ("Integration", "Accumulation") or method[2] not in rules:
         raise NotTranslated(f"IntegratorMethod = {''.join(method)!r} is not translated")
-    c.needs("ExternalReset", "none", "none")
-    c.needs("InitialConditionSource", "internal", "internal")
-    for name in ("ShowSaturationPort", "ShowStatePort"):
-        c.needs(name, "off", "off")
-    initial, signal = _initial(c, "InitialCondition")
+    if method[2] != "Forward Euler" and c.text("InitialConditionSetting", "Auto") == "Output":
+        raise NotTranslated("InitialConditionSetting = 'Output' is not translated")
+    gain, scale = c.scalar("gainval", "1.0"), 1.0
+    if method[0] == "Accumulation":  # the input is scaled, and the gain undoes the period
+        near = 1.0 / c.dt
+        gain, scale = (
+            next(one for one in (near, *np.nextafter(near, [0.0, np.inf]).tolist()) if one * c.dt == 1.0),
+            gain,
+        )
+
+    def integrator(initial: Any, limits: Any, reset: bool, width: int | None) -> Item:
+        return DiscreteIntegrator(rules[method[2]], gain, initial, limits, reset, width)
+
+    return _integral(c, integrator, scale)
+
+
+def _integral(c: Asked, integrator: Callable[[Any, Any, bool, int | None], Item], scale: float = 1.0) -> Made:
+    """Return an integrator with the ports that its dialog shows, made of initial value, limits, reset and width."""
+    edge, external = _edge(c), c.needs("InitialConditionSource", "internal", "internal", "external") == "external"
+    c.needs("ShowStatePort", "off", "off")
+    control = c.inputs.pop(1) if edge and len(c.inputs) > 1 else Signal("bool")
+    c.kind("real")
     limits = None
     if c.text("LimitOutput", "off") == "on":
         limits = [c.scalar("LowerSaturationLimit", "-inf"), c.scalar("UpperSaturationLimit", "inf")]
-    gain = c.scalar("gainval", "1.0")
-    return Made(DiscreteIntegrator(rules[method[2]], gain, initial, limits, width=signal.width), [signal])
+    initial, signal = ("input", Signal("real", c.width)) if external else _initial(c, "InitialCondition")
+    item = integrator(initial, limits, bool(edge), signal.width)
+    shown, wraps = c.text("ShowSaturationPort", "off") == "on", c.text("WrapState", "off") == "on"
+    if not (edge or external or shown or wraps or scale != 1.0):
+        return Made(item, [signal])
+    d = Diagram("integral")
+    d.input("u", width=c.inputs[0].width)
+    inputs, y = {"u": expanded(d, "u", c.inputs[0], signal.width)}, "integrator.y"
+    if scale != 1.0:
+        inputs["u"] = d.add("scaled", Gain(scale, signal.width), u=inputs["u"])
+    if edge:
+        inputs["clear"] = f"{_clears(d, control, edge)}.y"
+    if external:
+        d.input("x0", width=c.inputs[-1].width)
+        inputs["x0"] = expanded(d, "x0", c.inputs[-1], signal.width)
+    d.add("integrator", item, inputs=inputs)
+    if wraps:
+        c.notes.append("the output is wrapped, the state is not")
+        low, high = c.scalar("WrappedStateLowerValue", "-pi"), c.scalar("WrappedStateUpperValue", "pi")
+        turn = Formula(lambda t, y: y - floor((y - low) / (high - low)) * (high - low), [signal], signal)
+        y = f"{d.add('wrapped', turn, u1=y)}.y"
+    d.output("y", y)
+    if shown:
+        least, most = limits or [-math.inf, math.inf]
+        limit = Formula(lambda t, y: where(y >= most, 1.0, where(y <= least, -1.0, 0.0)), [signal], signal)
+        d.output("limited", d.add("limit", limit, u1="integrator.y"))
+    return Made(d, [signal] * (1 + shown), expand=False)
+
+
+def _edge(c: Asked) -> str:
+    """Return the edge of a block's reset input; "" without one."""
+    said = c.text("ExternalReset", "none").lower()
+    if said not in ("none", "rising", "falling", "either", "level", "sampled level", "level hold"):
+        raise NotTranslated(f"ExternalReset = {said!r} is not translated")
+    return {"none": "", "sampled level": "level hold"}.get(said, said)
+
+
+def _clears(d: Diagram, control: Signal, edge: str) -> str:
+    """Add the input `reset` to a diagram, and the block that is true when it resets."""
+    if control.width is not None:
+        raise NotTranslated("its reset is a vector")
+    d.input("reset", control.kind)
+    return d.add("clears", ControlEdge(edge, control.number, True), u="reset")
 
 
 def _discrete_derivative(c: Asked) -> Made:
@@ -99,14 +167,13 @@ def _discrete_derivative(c: Asked) -> Made:
 
 def _pid(c: Asked) -> Made:
     """Compute y = (P u + integral) + N (D u - filter state), or P times that in ideal form; in MathWorks' order."""
-    c.kind("real")
-    if c.width is not None:
-        raise NotTranslated("a PID of a vector is not translated")
+    if c.inputs[0].kind != "real":
+        raise NotTranslated(f"an input that is {c.inputs[0]} is not translated")
     kind = c.pick("Controller", "PID", {name: name for name in ("PID", "PI", "PD", "P", "I")})
     continuous = c.needs("TimeDomain", "Continuous-time", "Continuous-time", "Discrete-time") == "Continuous-time"
     ideal = c.needs("Form", "Parallel", "Parallel", "Ideal") == "Ideal"
-    for name, default in (("ExternalReset", "none"), ("InitialConditionSource", "internal")):
-        c.needs(name, default, default)
+    edge = _edge(c)
+    c.needs("InitialConditionSource", "internal", "internal")
     c.needs("TrackingMode", "off", "off")
     c.needs("ControllerParametersSource", "internal", "internal")
     if c.text("LimitOutput", "off") == "on":
@@ -161,14 +228,12 @@ def _pid(c: Asked) -> Made:
     if "I" in kind and not windup:
         d.connect("I", "integral.u")
     d.output("y", y)
-    return Made(d, [Signal()])
+    return Made(d, [Signal()]) if not edge else _resettable(c, d, edge)
 
 
 def _rational(c: Asked) -> tuple[list[float], list[float]]:
     for name in ("NumeratorSource", "DenominatorSource", "InitialStatesSource"):
         c.needs(name, "Dialog", "Dialog")
-    if c.inputs[0].width is not None:
-        raise NotTranslated("a _transfer function of a vector is not translated")
     default = "[1 0.5]" if c.block.type.startswith("Discrete") else "[1 1]"
     top, bottom = c.value("Numerator", "[1]"), c.value("Denominator", default)
     if 1 not in top.shape or 1 not in bottom.shape:
@@ -179,7 +244,7 @@ def _rational(c: Asked) -> tuple[list[float], list[float]]:
 def _discrete_transfer(c: Asked) -> Made:
     """Direct form II as MathWorks' C computes it: x = (u - a1 x1 - ...) / a0, y = b0 x + b1 x1 + ..."""
     top, bottom = _rational(c)
-    reset = c.needs("ExternalReset", "None", "None", "Level hold")
+    edge = _edge(c)
     if c.block.type == "DiscreteTransferFcn":  # in powers of z: both begin at the highest
         top = [0.0] * (len(bottom) - len(top)) + top
     order = max(len(top), len(bottom)) - 1
@@ -216,23 +281,21 @@ def _discrete_transfer(c: Asked) -> Made:
     if not total:
         raise NotTranslated("Numerator is 0")
     d.output("y", total)
-    return Made(d, [Signal()]) if reset == "None" else _resettable(c, d)
+    return Made(d, [Signal()]) if not edge else _resettable(c, d, edge)
 
 
-def _resettable(c: Asked, inner: Diagram) -> Made:
-    """Put a diagram whose states are initial while the second input is not 0: Level hold."""
-    if len(c.inputs) != 2 or c.inputs[1].width is not None:
+def _resettable(c: Asked, item: Item, edge: str) -> Made:
+    """Put a block whose states are initial at the edges of the second input."""
+    if len(c.inputs) != 2:
         raise NotTranslated("its reset is not one signal")
-    d = Diagram("resettable")
-    d.input("u")
-    d.input("reset", c.inputs[1].kind)
-    source = "reset"
-    if c.inputs[1].kind != "bool":
-        d.add("on", CompareToConstant("!=", 0.0, c.inputs[1].kind), u="reset")
-        source = "on"
-    d.add("filter", inner, inputs={"u": "u"}, reset=source)
-    d.output("y", "filter")
-    return Made(d, [Signal()])
+    one = c.inputs[0]
+    inner, d = Diagram("inside"), Diagram("resettable")
+    inner.input("u", one.kind, one.width)
+    inner.output("y", inner.add("block", item, inputs={"u": "u"}))
+    d.input("u", one.kind, one.width)
+    d.add("inside", inner, inputs={"u": "u"}, reset=f"{_clears(d, c.inputs[1], edge)}.y")
+    d.output("y", "inside")
+    return Made(d, [one], expand=False)
 
 
 def _noise(c: Asked) -> Made:
@@ -246,8 +309,6 @@ def _noise(c: Asked) -> Made:
 
 
 def _transport_delay(c: Asked) -> Made:
-    if c.width is not None:
-        raise NotTranslated("a _delay of a vector is not translated")
     time = c.scalar("DelayTime", "1")
     samples = round(time / c.dt)
     c.notes.append(f"{time:g} s: {samples} of the period's samples")
@@ -261,16 +322,12 @@ def _transfer(c: Asked) -> Made:
 
 
 def _integrator(c: Asked) -> Made:
-    c.kind("real")
-    c.needs("ExternalReset", "none", "none")
-    c.needs("InitialConditionSource", "internal", "internal")
-    for name in ("ShowSaturationPort", "ShowStatePort", "WrapState"):
-        c.needs(name, "off", "off")
-    initial, signal = _initial(c, "InitialCondition")
-    limits = None
-    if c.text("LimitOutput", "off") == "on":
-        limits = [c.scalar("LowerSaturationLimit", "-inf"), c.scalar("UpperSaturationLimit", "inf")]
-    return Made(Integrator(initial, limits, signal.width), [signal])
+    def integrator(initial: Any, limits: Any, reset: bool, width: int | None) -> Item:
+        if not reset and initial != "input":
+            return Integrator(initial, limits, width)
+        return resettable_integrator("integrator", "level" if reset else "none", initial, limits, width)
+
+    return _integral(c, integrator)
 
 
 def _state_space(c: Asked) -> Made:
@@ -302,23 +359,51 @@ def _relay(c: Asked) -> Made:
     return same(c, Relay(on, off, c.scalar("OnOutputValue", "1"), c.scalar("OffOutputValue", "0")))
 
 
+def each(rule: Rule) -> Rule:
+    """Return the rule of a block that takes the elements of a vector one by one."""
+
+    def made(c: Asked) -> Made:
+        width = c.width
+        if width is None:
+            return rule(c)
+        alone = replace(c, inputs=[replace(one, width=None, shape=None) for one in c.inputs])
+        d, y = Diagram("each"), dict[str, str]()
+        for k, one in enumerate(c.inputs):
+            d.input(f"u{k}", one.kind, one.width)
+            if one.width is not None:
+                d.add(f"split{k}", Demux(width, one.kind), u=f"u{k}")
+        for name in port_series(width):
+            one_of = rule(replace(alone, inputs=list(alone.inputs))).item
+            if one_of is None:
+                raise NotTranslated("its vector is not translated")
+            ports = [port.name for port in one_of.inputs] if isinstance(one_of, Block) else list(one_of.inputs)
+            sources = [f"u{k}" if one.width is None else f"split{k}.{name}" for k, one in enumerate(c.inputs)]
+            d.add(f"of_{name}", one_of, inputs=dict(zip(ports, sources, strict=True)))
+            y[name] = f"of_{name}.y"
+        d.add("y", Mux(width), inputs=y)
+        d.output("y", "y")
+        return Made(d, [Signal("real", width)], expand=False)
+
+    return made
+
+
 DYNAMIC_RULES: dict[str, Rule] = {
     "Clock": _clock,
     "Delay": _delay,
     "DigitalClock": _clock,
     "Discrete Derivative": _discrete_derivative,
-    "DiscreteFilter": _discrete_transfer,
+    "DiscreteFilter": each(_discrete_transfer),
     "DiscreteIntegrator": _discrete_integrator,
-    "DiscreteTransferFcn": _discrete_transfer,
+    "DiscreteTransferFcn": each(_discrete_transfer),
     "Integrator": _integrator,
     "Memory": _unit_delay,
-    "PID Controller": _pid,
+    "PID Controller": each(_pid),
     "RandomNumber": _noise,
-    "Relay": _relay,
+    "Relay": each(_relay),
     "StateSpace": _state_space,
     "Step": _step,
-    "TransferFcn": _transfer,
-    "TransportDelay": _transport_delay,
+    "TransferFcn": each(_transfer),
+    "TransportDelay": each(_transport_delay),
     "UnitDelay": _unit_delay,
 }
 STATEFUL = ("UnitDelay", "Memory", "Delay", "DiscreteIntegrator", "Integrator", "TransferFcn", "StateSpace",
