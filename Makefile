@@ -13,7 +13,7 @@
 #   make shake   every test while their processes are stopped at random: what fails is flaky (SEED=2: others)
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
 #   make sbom    list every pinned part, as CycloneDX, in out/sbom
-#   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm, node, npm, octave and chromium for the tests
+#   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm, node, npm, octave, curl and chromium for tests
 #                (Debian, as root) or name them, and node-mavlink into .venv/node
 
 VENV := .venv

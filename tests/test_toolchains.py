@@ -78,7 +78,7 @@ def test_root_on_debian_gets_what_is_missing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("root", "apt"), [(False, "exit 0"), (True, None), (True, "exit 1")])
 def test_what_cannot_be_installed_is_named_in_one_line(root: bool, apt: str | None, tmp_path: Path) -> None:
-    machine = Machine(tmp_path, ("gcc", "g++", "node", "npm", "chromium", "cppcheck", "octave-cli"), root, apt)
+    machine = Machine(tmp_path, ("gcc", "g++", "node", "npm", "chromium", "cppcheck", "octave-cli", "curl"), root, apt)
     done = machine.run()
     assert done.returncode == 0
     assert done.stderr.splitlines()[-1] == (

@@ -14,6 +14,7 @@ PACKAGES = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "chromium": "chromium",
     "cppcheck": "cppcheck",
+    "curl": "curl",
     "g++": "g++",
     "gcc": "gcc libc6-dev",
     "node": "nodejs",

@@ -13,7 +13,8 @@ tools=(
     "node nodejs"
     "npm npm"
     "cppcheck cppcheck"
-    "octave-cli octave" # the judge of the MATLAB subset
+    "octave-cli octave" # the judge of the MATLAB subset; runs matlab/
+    "curl curl" # Octave's requests in matlab/
     "chromium chromium" # tests/web open the page in a real browser: no wheel brings one, and its maker's is a download
 )
 

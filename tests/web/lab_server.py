@@ -35,9 +35,10 @@ class LabServer:
 
     def call(self, method: str, path: str, body: Any = None) -> Any:
         """Return the answer of the API to a call: `call("POST", "drones/1/arm")`. Raises HTTPError."""
-        base = self.link.split("?")[0]
+        base, _, token = self.link.partition("?token=")
         data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(f"{base}api/{path}", data, {"Content-Type": "application/json"}, method=method)
+        headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {token}"} if token else {})
+        request = urllib.request.Request(f"{base}api/{path}", data, headers, method=method)
         with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
             text = answer.read()
         return json.loads(text) if text else None

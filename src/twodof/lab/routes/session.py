@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import suppress
 from pathlib import Path as FilePath
 from typing import Annotated, Any
@@ -10,12 +11,15 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response, WebSocke
 from starlette.websockets import WebSocketDisconnect
 
 from twodof import __version__
+from twodof.errors import Rejected
+from twodof.gcs.full_rate import BatchRows
 from twodof.lab.access import CLIENT, WATCHERS_MAY, Role, lab_router, receive_file, takes
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.lab import CurrentLab
 from twodof.lab.log_work import mat_of_rows
 from twodof.lab.routes.logs import made_file
 from twodof.lab.telemetry_client import SocketRefused, TelemetryClient
+from twodof.link.mavlink.messages import channel_mask
 
 router = lab_router("/api/session", "session")
 
@@ -64,6 +68,27 @@ async def drone(one: NamedDrone) -> dict[str, Any]:
 async def texts(one: NamedDrone) -> list[dict[str, Any]]:
     """List the last 200 lines of text of a drone, the oldest first; `time` is the drone's [s]."""
     return [*one.texts]
+
+
+@drones_router.get("/{number}/telemetry")
+async def rows(
+    one: NamedDrone,
+    column: Annotated[list[str], Query(min_length=1, max_length=40, description="Column of a log, as estimate.q.")],
+    seconds: Annotated[float, Query(ge=0.02, le=2.0, description="Length of time from now on [s].")] = 0.1,
+) -> dict[str, Any]:
+    """Return the samples of the next `seconds` at the full rate: `time` of the drone [s], and each column by name.
+
+    A column has null where it has no new sample. This is for programs without a web socket. 409 for a drone in
+    lockstep, whose time is not this computer's.
+    """
+    if one.drone.session.lockstep:
+        raise Rejected(
+            "its time passes in lockstep", f"drone {one.drone.session.system}", "start it without --lockstep"
+        )
+    async with one.drone.batches.rows(BatchRows(tuple(column)), channel_mask(column)) as taken:
+        await asyncio.sleep(seconds)
+    values = dict(zip(taken.columns, taken.values.T.tolist(), strict=True))
+    return {"time": taken.time.tolist(), **values}
 
 
 jobs_router = lab_router("/api/jobs", "jobs")
