@@ -238,3 +238,71 @@ def test_sample_times_without_a_common_period_are_refused(tmp_path: Path) -> Non
     blocks = [(kind, name, given.get(name, values)) for kind, name, values in blocks]
     path = model_of(blocks, [("u", "a"), ("a", "b"), ("b", "y")], tmp_path / "n.slx")
     assert import_system(read_model(path)).dt == 0.01
+
+
+def test_goto_leads_across_levels_as_far_as_its_tag_is_seen(tmp_path: Path) -> None:
+    inner: tuple[Blocks, Lines] = (
+        [
+            ("Inport", "in", {}),
+            ("Gain", "twice", {"Gain": "2"}),
+            ("Goto", "up", {"GotoTag": "g", "TagVisibility": "global"}),
+            ("Goto", "port", {"GotoTag": "p", "TagVisibility": "scoped"}),
+            ("From", "s", {"GotoTag": "s"}),
+            ("Outport", "out", {}),
+        ],
+        [("in", "twice"), ("twice", "up"), ("in", "port"), ("s", "out")],
+    )
+    middle: tuple[Blocks, Lines] = (
+        [("Inport", "in", {}), ("SubSystem", "inner", {"Ports": "[1, 1]"}, inner), ("Outport", "out", {})],
+        [("in", "inner"), ("inner", "out")],
+    )
+    other: tuple[Blocks, Lines] = (
+        [
+            ("Sum", "sum", {"Inputs": "++-", "Ports": "[3, 1]"}),
+            ("From", "g", {"GotoTag": "g"}),
+            ("From", "p", {"GotoTag": "p"}),
+            ("From", "s", {"GotoTag": "s"}),
+            ("Outport", "out", {}),
+        ],
+        [("g", "sum:1"), ("p", "sum:2"), ("s", "sum:3"), ("sum", "out")],
+    )
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("Inport", "v", {"Port": "2", **REAL}),
+        ("GotoTagVisibility", "seen", {"GotoTag": "s"}),
+        ("GotoTagVisibility", "also", {"GotoTag": "p"}),
+        ("Goto", "scoped", {"GotoTag": "s", "TagVisibility": "scoped"}),
+        ("SubSystem", "first", {"Ports": "[0, 1]"}, other),
+        ("SubSystem", "middle", {"Ports": "[1, 1]"}, middle),
+        ("Outport", "y", {}),
+        ("Outport", "z", {"Port": "2"}),
+    ]
+    lines = [("v", "scoped"), ("u", "middle"), ("first", "y"), ("middle", "z")]
+    got = flown(imported(tmp_path, blocks, lines), u=DRAWN[0], v=DRAWN[1])
+    assert np.array_equal(got["y"], 2.0 * DRAWN[0] + DRAWN[0] - DRAWN[1])
+    assert np.array_equal(got["z"], DRAWN[1])
+    local = [(kind, name, {**values, "TagVisibility": "local"} if name == "scoped" else values, *inside)
+             for kind, name, values, *inside in blocks]  # fmt: skip
+    refused = {line.why for line in imported(tmp_path, local, lines).refused}
+    assert refused == {"0 Goto blocks with the tag s are seen from this system"}
+
+
+def test_a_model_block_is_the_model_that_it_refers_to(tmp_path: Path) -> None:
+    inside: Blocks = [
+        ("Inport", "in", {}),
+        ("Gain", "gain", {"Gain": "k * base"}),
+        ("UnitDelay", "z", {}),
+        ("Outport", "out", {}),
+    ]
+    model_of(inside, [("in", "gain"), ("gain", "z"), ("z", "out")], tmp_path / "inner.slx")
+    given = {"ParameterArgumentNames": "k", "ParameterArgumentValues": "3", "Ports": "[1, 1]"}
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("ModelReference", "model", {"ModelNameDialog": "inner.slx", **given}),
+        ("Outport", "y", {}),
+    ]
+    read = read_model(model_of(blocks, [("u", "model"), ("model", "y")], tmp_path / "m.slx"))
+    found = import_system(read, "", {"base": np.array([[2.0]])}, [tmp_path], DT)
+    assert np.array_equal(flown(found, u=DRAWN[0])["y"], np.r_[0.0, 6.0 * DRAWN[0][:-1]])
+    (refused,) = import_system(read, dt=DT).refused
+    assert (refused.path, refused.why) == ("model", "the model inner is not found: name its folder with --path")

@@ -88,10 +88,10 @@ def _discrete_integrator(c: Asked) -> Made:
     gain, scale = c.scalar("gainval", "1.0"), 1.0
     if method[0] == "Accumulation":  # the input is scaled, and the gain undoes the period
         near = 1.0 / c.dt
-        gain, scale = (
-            next(one for one in (near, *np.nextafter(near, [0.0, np.inf]).tolist()) if one * c.dt == 1.0),
-            gain,
-        )
+        undoing = [one for one in (near, *np.nextafter(near, [0.0, np.inf]).tolist()) if one * c.dt == 1.0]
+        if not undoing:
+            raise NotTranslated(f"an accumulation every {c.dt} s is not translated")
+        gain, scale = undoing[0], gain
 
     def integrator(initial: Any, limits: Any, reset: bool, width: int | None) -> Item:
         return DiscreteIntegrator(rules[method[2]], gain, initial, limits, reset, width)

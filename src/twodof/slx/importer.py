@@ -38,7 +38,7 @@ from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, exp
 
 Output = tuple[str, str, int]
 """An output of a block: path of its system, identifier and number."""
-_PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", *CONTROL_PORTS, *ITERATED)
+_PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED)
 _SINGLE = "single: computed in the precision of the build"
 
 
@@ -110,7 +110,7 @@ class _Sheet:
         for sid, block in system.blocks.items():
             if block.type in ("Inport", "Outport"):
                 self.ports[block.type, port_number(block)] = sid
-            elif block.type in ("Goto", "From"):
+            elif block.type in ("Goto", "From", "GotoTagVisibility"):
                 self.tagged.setdefault((block.type, block.values.get("GotoTag", "A")), []).append(sid)
 
 
@@ -122,19 +122,12 @@ class _Import:
         self.report: list[ReportLine] = []
         self.notes = list[str]()
         self.libraries: dict[str, Model | None] = {}
-        names: dict[str, Value] = {}
-        try:
-            names.update(dictionary(model.dictionary, folders))
-        except DiagramError as reason:
-            self.notes.append(str(reason))
-        texts = (text for _, block in model.blocks() for text in block.values.values())
-        names.update(enumerations(texts, folders))
-        for callback in ("PreLoadFcn", "PostLoadFcn", "InitFcn"):
-            for skipped in run(model.callbacks.get(callback, ""), names):
-                self.notes.append(f"{callback}, line {skipped.line}: {skipped.why}")
-        self.names = {**names, **workspace}
+        self.names = {**self._names_of(model), **workspace}
+        self.defaults = {self.path: model.defaults}
         self.sheets: dict[str, _Sheet] = {}
         self.conditions: dict[str, list[Condition]] = {}
+        self.referenced: dict[str, dict[str, Value]] = {}
+        self.beyond: dict[tuple[str, str], Output] = {}
         self.times: dict[tuple[str, str], tuple[float, float]] = {}
         self.rates: dict[tuple[str, str], Rate] = {}
         self.held: dict[tuple[str, str], Rate] = {}
@@ -144,6 +137,20 @@ class _Import:
         self.signals: dict[tuple[str, str, int], Signal] = {}
         self.approximated: dict[tuple[str, str], list[str]] = {}
         self.given_dt = dt
+
+    def _names_of(self, model: Model) -> dict[str, Value]:
+        """Return the names that a model's dictionary and callbacks give."""
+        names: dict[str, Value] = {}
+        try:
+            names.update(dictionary(model.dictionary, self.folders))
+        except DiagramError as reason:
+            self.notes.append(str(reason))
+        texts = (text for _, block in model.blocks() for text in block.values.values())
+        names.update(enumerations(texts, self.folders))
+        for callback in ("PreLoadFcn", "PostLoadFcn", "InitFcn"):
+            for skipped in run(model.callbacks.get(callback, ""), names):
+                self.notes.append(f"{model.name}, {callback}, line {skipped.line}: {skipped.why}")
+        return names
 
     def run(self) -> Imported:
         system, names = _with_ports(self.model.system(self.path)), self._names_at(self.path)
@@ -208,13 +215,15 @@ class _Import:
             if inner is not None:
                 inside.append((at, sid, inner, masked))
         self.sheets[path] = _Sheet(system, names, owner)
+        if path not in self.defaults and owner is not None:
+            self.defaults[path] = self.defaults[owner[0]]
         try:
             self.conditions[path] = conditions_of(self.sheets[path].system)
         except NotTranslated as reason:
             self.report.append(ReportLine(path, "SubSystem", "refused", str(reason)))
         for at, sid, inner, masked in inside:
             block = system.blocks[sid]
-            own = self._inside(masked, {**block.values, **block.instance}, names)
+            own = self._inside(masked, {**block.values, **block.instance}, self.referenced.get(at, names))
             self._collect(at, inner, own, (path, sid), depth + 1)
 
     def _linked(self, block: SimulinkBlock, at: str) -> SimulinkBlock:
@@ -255,16 +264,33 @@ class _Import:
         if block.type == "SubSystem" and (file := block.values.get("ReferencedSubsystem", "")):
             self._take_code(file, "", at)
             return self._file(file).root, block
+        if block.type == "ModelReference":
+            return self._referenced(block, names, at), block
         return block.system, block
 
-    def _file(self, name: str) -> Model:
-        """Return the model of a library, or of a subsystem that has a file of its own."""
+    def _referenced(self, block: SimulinkBlock, names: dict[str, Value], at: str) -> System:
+        """Return the top of the model that a block refers to. It sees the workspace and its arguments, no masks."""
+        file = block.values.get("ModelNameDialog", block.values.get("ModelName", ""))
+        file = re.sub(r"\.(slx|mdl|slxp)$", "", file)
+        model = self._file(file, "model")
+        if model.kind != "model":
+            raise NotTranslated(f"{file} is a {model.kind}, not a model")
+        own = {**self._names_of(model), **self.names}
+        arguments = [block.values.get(f"ParameterArgument{end}", "") for end in ("Names", "Values")]
+        for name, text in zip(*(re.findall(r"[^,]+", one) for one in arguments), strict=False):
+            own[name.strip()] = evaluate(text, names, name)
+        self._take_code(file, "", at)
+        self.referenced[at], self.defaults[at] = own, model.defaults
+        return model.root
+
+    def _file(self, name: str, what: str = "library") -> Model:
+        """Return the model of a library, of a subsystem that has a file of its own, or of a referenced model."""
         if name not in self.libraries:
             file = library_file(name, self.folders)
             self.libraries[name] = None if file is None else read_model(file)
         found = self.libraries[name]
         if found is None:
-            raise NotTranslated(f"the library {name} is not found: name its folder with --path")
+            raise NotTranslated(f"the {what} {name} is not found: name its folder with --path")
         return found
 
     def _take_code(self, library: str, inside: str, at: str) -> None:
@@ -433,14 +459,26 @@ class _Import:
                     return None
                 pin = Pin(source.sid, "in", source.number)
             elif block.type == "From":
-                tag = block.values.get("GotoTag", "A")
-                gotos = sheet.tagged.get(("Goto", tag), [])
-                if len(gotos) != 1:
-                    raise NotTranslated(f"{len(gotos)} Goto blocks have the tag {tag} in this system")
-                pin = Pin(gotos[0], "in", 1)
+                path, goto = self._goto(path, block.values.get("GotoTag", "A"))
+                sheet, pin = self.sheets[path], Pin(goto, "in", 1)
             else:
                 return path, source.sid, source.number
         raise NotTranslated("From and Goto blocks lead in a circle")
+
+    def _goto(self, path: str, tag: str) -> tuple[str, str]:
+        """Return the Goto of a tag: that of the sheet, else one that is seen from it, scoped or global."""
+        gotos = [(path, sid) for sid in self.sheets[path].tagged.get(("Goto", tag), [])]
+        if not gotos:
+            scopes = [at for at in self.sheets if self.sheets[at].tagged.get(("GotoTagVisibility", tag))]
+            scopes = [at for at in scopes if f"{path}/".startswith(f"{at}/".lstrip("/"))]
+            for at, sheet in self.sheets.items():
+                for sid in sheet.tagged.get(("Goto", tag), []):
+                    seen = sheet.system.blocks[sid].values.get("TagVisibility", "local")
+                    scoped = scopes and f"{at}/".startswith(f"{max(scopes, key=len)}/".lstrip("/"))
+                    gotos += [(at, sid)] if seen == "global" or (seen == "scoped" and scoped) else []
+        if len(gotos) != 1:
+            raise NotTranslated(f"{len(gotos)} Goto blocks with the tag {tag} are seen from this system")
+        return gotos[0]
 
     def _label(self, path: str, pin: Pin) -> str:
         """Return the name of the signal at an input: of its line, or of the element that a BusSelector takes out."""
@@ -449,8 +487,11 @@ class _Import:
 
     def _origin(self, path: str, pin: Pin) -> Output | None:
         """Return the output of a block that drives an input, out of and into subsystems; None where nothing does."""
+        return self._resolved(self._source(path, pin))
+
+    def _resolved(self, source: Output | None) -> Output | None:
+        """Return the output of a block that is behind that of a subsystem or an Inport; None where nothing is."""
         for _ in range(1000):
-            source = self._source(path, pin)
             if source is None:
                 return None
             path, sid, output = source
@@ -459,11 +500,9 @@ class _Import:
             inner = f"{path}/{escaped(block.name)}".lstrip("/")
             if inner in self.sheets and self._is_system(block):
                 port = self.sheets[inner].ports.get(("Outport", output))
-                if port is None:
-                    return None
-                path, pin = inner, Pin(port, "in", 1)
+                source = None if port is None else self._source(inner, Pin(port, "in", 1))
             elif block.type in ("Inport", "InportShadow") and sheet.owner is not None:
-                path, pin = sheet.owner[0], Pin(sheet.owner[1], "in", port_number(block))
+                source = self._source(sheet.owner[0], Pin(sheet.owner[1], "in", port_number(block)))
             else:
                 return source
         raise NotTranslated("subsystems lead in a circle")
@@ -475,7 +514,10 @@ class _Import:
 
     @staticmethod
     def _is_system(block: SimulinkBlock) -> bool:
-        return block.type in ("SubSystem", "Reference") and block.kind not in (*RULES, "MATLAB Function")
+        return block.type in ("SubSystem", "Reference", "ModelReference") and block.kind not in (
+            *RULES,
+            "MATLAB Function",
+        )
 
     def _infer(self) -> None:
         """Translate each block when the types of its inputs are known, from the sources on."""
@@ -522,7 +564,7 @@ class _Import:
             if rule is None:
                 raise NotTranslated(f"the block type {block.kind} is not translated")
             inputs = [self._type(path, pin) or Signal() for pin in self._inputs(key)]
-            values = {**self.model.defaults.get(block.type, {}), **block.values, **block.instance}
+            values = {**self.defaults[path].get(block.type, {}), **block.values, **block.instance}
             if block.kind in RULES:
                 check_inputs(block.kind, inputs)
             labels = [self._label(path, pin) for pin in self._inputs(key)]
@@ -660,6 +702,10 @@ class _Import:
             width = next((port.width for port in item.inputs if port.width is not None and "." not in port.name), None)
         for k, port in enumerate(ports):
             pin = Pin(sid, "in", k + 1)
+            inner = f"{path}/{escaped(block.name)}".lstrip("/")
+            if isinstance(item, Diagram) and (inner, port) in self.beyond:
+                diagram.connect(self._name(path, self.beyond[inner, port], names, diagram), f"{name}.{port}")
+                continue
             source = self._name(path, self._source(path, pin), names, diagram)
             signal = self._type(path, pin) or Signal()
             if made.expand and width is not None and signal.width is None:
@@ -673,7 +719,7 @@ class _Import:
         sheet = self.sheets[path]
         for sid, block in sheet.system.blocks.items():
             if block.type == "Outport" and self.conditions.get(path):
-                said = {**self.model.defaults.get("Outport", {}), **block.values}.get("InitialOutput", "[]")
+                said = {**self.defaults[path].get("Outport", {}), **block.values}.get("InitialOutput", "[]")
                 values = as_array(number(evaluate(said, sheet.names, "InitialOutput"))).flatten()
                 if values.size:
                     signal = self._type(path, Pin(sid, "in", 1)) or Signal()
@@ -726,7 +772,7 @@ class _Import:
         sheet, source = self.sheets[path], self._source(path, pin)
         if source is None:
             raise NotTranslated("nothing drives an input")
-        block = sheet.system.blocks[source[1]]
+        block = self.blocks[source[:2]]
         inner = f"{path}/{escaped(block.name)}".lstrip("/")
         acting = [one for one in self.conditions.get(inner, ()) if one.pin != "reset"] if source[0] == path else []
         if acting:
@@ -764,12 +810,40 @@ class _Import:
             if "ground" not in diagram.parts:
                 diagram.add("ground", Constant(0.0))
             return "ground"
+        if source[0] != path:
+            block, owner = self.blocks[source[:2]], self.sheets[source[0]].owner
+            if block.type in ("Inport", "InportShadow") and owner is not None:  # what drives it is as good
+                return self._name(path, self._source(owner[0], Pin(owner[1], "in", port_number(block))), names, diagram)
+            return self._reach(path, source)
         _, sid, output = source
         block = self.blocks[path, sid]
         if block.type in ("Inport", "InportShadow"):
             shown = self.sheets[path].ports.get(("Inport", port_number(block)))
             return names[shown or sid]
         return f"{names[sid]}.{_port_names(diagram.parts[names[sid]].item.outputs)[output - 1]}"
+
+    def _reach(self, path: str, source: Output) -> str:
+        """Return a sheet's name for an output of another sheet: it leads out of and into the systems between."""
+        sheet, place = self.sheets[path], source[0]
+        if place.startswith(f"{path}/".lstrip("/")):
+            owners = {one: self.sheets[one].owner for one in self.sheets if f"{place}/".startswith(f"{one}/")}
+            below, part = next((one, sheet.parts[of[1]]) for one, of in owners.items() if of and of[0] == path)
+            inner = self.sheets[below]
+            within = self._name(below, source, inner.parts, inner.diagram)
+            wanted = f"{within.replace('.', '_')}_out"
+            if wanted not in inner.helpers:
+                inner.helpers[wanted] = _safe(wanted, {*inner.diagram.outputs, *inner.parts.values()})
+                inner.diagram.output(inner.helpers[wanted], within)
+            return f"{part}.{inner.helpers[wanted]}"
+        wanted = f"{'_'.join(source[:2])}_{source[2]}_in"
+        if wanted not in sheet.helpers:
+            taken = {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()}
+            name = sheet.helpers[wanted] = _safe(f"from_{self.blocks[source[:2]].name}", taken)
+            self.beyond[path, name] = source
+            origin = self._resolved(source)
+            signal = Signal() if origin is None else self.signals[origin]
+            sheet.diagram.declare(signal.port(name))
+        return sheet.helpers[wanted]
 
     def _report(self, path: str, sid: str, status: str, why: str = "") -> None:
         notes = self.approximated.get((path, sid), [])
