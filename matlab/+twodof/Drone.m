@@ -178,8 +178,10 @@ classdef Drone < handle
 
         function names = logs(drone)
             %LOGS Names of the finished logs, the latest first. Waits for the end of a recording.
-            while ~isempty(drone.state().recording)
+            now = drone.state();
+            while ~isempty(now.recording)
                 pause(0.2);
+                now = drone.state();
             end
             found = drone.ask('GET', '/logs');
             rows = found.logs;
@@ -243,7 +245,7 @@ classdef Drone < handle
         end
 
         function found = place(~, name)
-            found = ['/logs/', strrep(name, ' ', '%20')];
+            found = ['/logs/', strrep(char(name), ' ', '%20')];
         end
 
         function name = latest(drone)

@@ -13,7 +13,7 @@ if nargin < 1 || isempty(link)
         link = 'http://127.0.0.1:8080/';
     end
 end
-[address, query] = strtok(link, '?');
+[address, query] = strtok(char(link), '?');
 token = regexprep(query, '^\?token=', '');
 if nargin < 2
     number = 0;
