@@ -21,7 +21,7 @@ from twodof.flight.starters import starter
 
 pytestmark = pytest.mark.slow
 
-FLOWN = re.compile(r"imulated in \d+ ms")
+FLOWN = re.compile(r"imulated in [\d.]+ m?s")
 COVERED = """() => {
   const all = [...document.querySelectorAll(".svelte-flow__node")];
   const nodes = all.map((n) => [n.dataset.id, n.getBoundingClientRect()]);

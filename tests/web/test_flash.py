@@ -21,7 +21,7 @@ LONG_MS = PATIENCE_S * 1000
 @pytest.mark.waits
 def test_a_changed_controller_is_flashed_and_flies(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(f"{lab_server.link}#/diagram")
-    expect(page.get_by_text(re.compile(r"imulated in \d+ ms"))).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text(re.compile(r"imulated in [\d.]+ m?s"))).to_be_visible(timeout=LONG_MS)
     gain = page.get_by_label("theta_kp", exact=True)
     gain.fill(str(0.9 * float(gain.input_value())))
     gain.press("Enter")
