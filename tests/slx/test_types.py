@@ -329,3 +329,44 @@ def test_a_sum_begins_with_the_first_that_is_added(tmp_path: Path) -> None:
     found = of_kinds(tmp_path, ("Sum", {"Inputs": "--+"}), ("double",) * 3)
     assert np.array_equal(flown(found, {"u1": a, "u2": b, "u3": c})["y"], (c - a) - b)
     assert not np.array_equal((c - a) - b, (-a - b) + c)
+
+
+def test_a_state_in_a_loop_takes_the_type_of_what_is_added(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "int16", "PortDimensions": "3"}),
+        ("UnitDelay", "z", {}),
+        ("Sum", "sum", {"Ports": "[2, 1]", **WRAP}),
+        ("Gain", "twice", {"Gain": "2", **WRAP}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("z", "twice"), ("twice", "sum:1"), ("u", "sum:2"), ("sum", "z"), ("sum", "y")]
+    u = np.random.default_rng(4).integers(-900, 900, (200, 3))
+    state, wanted = np.zeros(3, dtype=np.int64), []
+    for row in u:
+        state = wrapped(2 * state + row, "int16").astype(np.int64)
+        wanted.append(state)
+    assert np.array_equal(flown(imported(tmp_path, blocks, lines), {"u": u})["y"], wanted)
+
+
+def test_a_loop_of_truths_is_one_of_truths(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "set", {"OutDataTypeStr": "boolean"}),
+        ("Memory", "z", {}),
+        ("Logic", "or", {"Operator": "OR", "Ports": "[2, 1]"}),
+        ("Outport", "y", {}),
+    ]
+    found = flown(imported(tmp_path, blocks, [("z", "or:1"), ("set", "or:2"), ("or", "z"), ("or", "y")]),
+                  {"set": np.arange(200) == 50})  # fmt: skip
+    assert found["y"].dtype == bool
+    assert np.array_equal(found["y"], np.arange(200) >= 50)
+
+
+def test_a_loop_through_a_matrix_is_as_wide_as_its_columns(tmp_path: Path) -> None:
+    blocks = [
+        ("Integrator", "x", {"InitialCondition": "1"}),
+        ("Gain", "A", {"Gain": "[0 1; -4 0]", "Multiplication": "Matrix(K*u)"}),
+        ("Outport", "y", {}),
+    ]
+    y = flown(imported(tmp_path, blocks, [("x", "A"), ("A", "x"), ("x", "y")]), {})["y"]
+    t = DT * np.arange(200)  # x'' = -4 x from (1, 1); Runge-Kutta of fourth order, error of 2 h^5 / 120 a step
+    assert np.allclose(y[:, 0], np.cos(2 * t) + 0.5 * np.sin(2 * t), atol=1e-7)

@@ -331,6 +331,13 @@ TAKES_SMALL = (
 TAKES_MATRICES = ("BusAssignment", "BusCreator", *DROPPED)
 
 
+KEEPS_TYPE = (
+    *("Abs", "Bias", "Delay", "Gain", "Logic", "Memory", "Merge", "MinMax", "RateTransition", "Saturate", "Sum"),
+    *("SignalSpecification", "Switch", "UnaryMinus", "UnitDelay", "ZeroOrderHold"),
+)
+"""Types whose output has the type of what they combine."""
+
+
 def check_inputs(kind: str, inputs: Sequence[Signal]) -> None:
     """Raise NotTranslated if a block of this kind does not take one of the signals."""
     for one in inputs:

@@ -9,6 +9,7 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import Constant, Logic, Merge, RateTransition, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, INPUTS, RULES, check_inputs
+from twodof.slx.blocks import DROPPED, INPUTS, KEEPS_TYPE, RULES, check_inputs
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition, ControlEdge, conditions_of
 from twodof.slx.data_types import kind_of, sized
 from twodof.slx.dictionary import dictionary, enumerations
@@ -39,6 +40,8 @@ from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, exp
 Output = tuple[str, str, int]
 """An output of a block: path of its system, identifier and number."""
 _PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED)
+MOST_GUESSES = 5
+"""How often the types of loops are guessed anew."""
 _SINGLE = "single: computed in the precision of the build"
 
 
@@ -436,6 +439,12 @@ class _Import:
             elif block.type == "Selector":
                 said = block.values.get("InputPortWidth", "1")
                 wanted = int(said) if said.isdigit() else 1
+            elif block.type in ("Gain", "StateSpace"):
+                name = "Gain" if block.type == "Gain" else "B"
+                with suppress(DiagramError, NotComputed):
+                    found = as_array(number(evaluate(block.values.get(name, "1"), sheet.names, name)))
+                    matrix = block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
+                    wanted = found.shape[1] if matrix else 1
             elif block.type == "Goto":
                 froms = sheet.tagged.get(("From", block.values.get("GotoTag", "A")), [])
                 wanted = max((self._width_wanted(path, one, depth + 1) for one in froms), default=1)
@@ -520,7 +529,24 @@ class _Import:
         )
 
     def _infer(self) -> None:
-        """Translate each block when the types of its inputs are known, from the sources on."""
+        """Find the types of all signals. In a loop that of a state is guessed, and all found anew if that was wrong."""
+        lines, signals, made = len(self.report), dict(self.signals), dict(self.made)
+        approximated = deepcopy(self.approximated)
+        guessed: dict[tuple[str, str], Signal] = {}
+        for _ in range(MOST_GUESSES):
+            wrong = self._pass(guessed)
+            if not wrong:
+                return
+            guessed |= wrong
+            del self.report[lines:]
+            self.signals, self.made, self.approximated = dict(signals), dict(made), deepcopy(approximated)
+        self._pass(guessed)
+
+    def _pass(self, guessed: Mapping[tuple[str, str], Signal]) -> dict[tuple[str, str], Signal]:
+        """Translate each block when the types of its inputs are known, from the sources on.
+
+        Return the types of the states in loops that turned out to be others than `guessed`.
+        """
         waiting: dict[tuple[str, str], set[Output]] = {}
         behind: dict[Output, list[tuple[str, str]]] = {}
         for key, block in self.blocks.items():
@@ -530,20 +556,66 @@ class _Import:
             for origin in origins:
                 behind.setdefault(origin, []).append(key)
         ready = deque(key for key, origins in waiting.items() if not origins - self.signals.keys())
+        broken: dict[tuple[str, str], Signal] = {}
+        wrong: dict[tuple[str, str], Signal] = {}
+
+        def follow(key: tuple[str, str], count: int) -> None:
+            found = [(*key, k + 1) for k in range(count)]
+            after = [one for output in found for one in behind.get(output, []) if one in waiting]
+            ready.extend(one for one in after if not waiting[one] - self.signals.keys())
+
         while waiting:
             while ready:
                 key = ready.popleft()
                 if waiting.pop(key, None) is None:
                     continue
                 self._translate(key)
-                found = [(*key, k + 1) for k in range(len(self.made[key].outputs))]
-                follow = [one for output in found for one in behind.get(output, []) if one in waiting]
-                ready += [one for one in follow if not waiting[one] - self.signals.keys()]
+                made = self.made[key].outputs
+                if key in broken and made and not made[0].like(broken[key]):
+                    wrong[key] = made[0]
+                follow(key, len(made))
             # A loop is broken at the first block whose output may be known before its input.
             # What has no rule is refused there too, and without any such block the loop is an algebraic one.
-            at = (key for key in waiting if self.blocks[key].type in STATEFUL)
-            loop = next(at, None) or next((key for key in waiting if self.blocks[key].kind not in RULES), None)
+            at = (key for key in waiting if self.blocks[key].type in STATEFUL and key not in broken)
+            loop = next(at, None)
+            if loop is not None:
+                broken[loop] = guessed.get(loop) or self._guess(loop, waiting, behind)
+                self.signals[*loop, 1] = broken[loop]
+                follow(loop, 1)
+                continue
+            loop = next((key for key in waiting if self.blocks[key].kind not in RULES), None)
             ready += [loop] if loop is not None else list(waiting)[:1]
+        return wrong
+
+    def _guess(
+        self,
+        key: tuple[str, str],
+        waiting: Mapping[tuple[str, str], set[Output]],
+        behind: Mapping[Output, list[tuple[str, str]]],
+    ) -> Signal:
+        """Return the type that a state in a loop has by its initial value, or else by what it meets behind it."""
+        block = self.blocks[key]
+        values = {**self.model.defaults.get(block.type, {}), **block.values, **block.instance}
+        name = next((one for one in ("C", "InitialCondition", "X0") if one in values), "")
+        size = 1
+        with suppress(DiagramError, NotComputed):
+            found = as_array(number(evaluate(values.get(name, "0"), self.sheets[key[0]].names, name)))
+            size = found.shape[0] if name == "C" else found.size
+        if size == 1 and name != "C":
+            size = self._width_wanted(*key, 0)
+        queue, seen = [key], {key}
+        for at in queue:
+            for one in behind.get((*at, 1), ()):
+                if one in seen or one not in waiting or self.blocks[one].kind not in KEEPS_TYPE:
+                    continue
+                seen.add(one)
+                queue.append(one)
+                pins = [pin for pin in self._inputs(one) if self.blocks[one].type != "Switch" or pin.number != 2]
+                sources = [source for pin in pins if (source := self._origin(one[0], pin)) in self.signals]
+                met = [self.signals[source] for source in sources if source not in (None, (*at, 1))]
+                if met:
+                    return Signal(met[0].kind, size if size > 1 else None)
+        return Signal("real", size if size > 1 else None)
 
     def _await(self, key: tuple[str, str], waiting: dict[tuple[str, str], set[Output]]) -> None:
         found = {self._origin(key[0], pin) for pin in self._inputs(key)}
