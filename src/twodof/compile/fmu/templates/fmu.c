@@ -73,18 +73,19 @@ static int restart(Memory *m)
 static Instance *instantiate(const char *name, const char *given, void (*logger)(void), void *environment)
 {
     Instance *i = calloc(1, sizeof *i + (name ? strlen(name) : 0) + 1);
-    if (i) {
-        strcpy(i->name, name ? name : "");
-        i->logger = logger;
-        i->environment = environment;
-        (void)restart(&i->now);
-        if (!given || strcmp(given, token)) {
-            (void)fail(i, "the token of modelDescription.xml is another than this binary's: export the FMU again");
-            free(i);
-            i = NULL;
-        }
+    if (!i) {
+        return NULL;
     }
-    return i;
+    strcpy(i->name, name ? name : "");
+    i->logger = logger;
+    i->environment = environment;
+    (void)restart(&i->now);
+    if (given && !strcmp(given, token)) {
+        return i;
+    }
+    (void)fail(i, "the token of modelDescription.xml is another than this binary's: export the FMU again");
+    free(i);
+    return NULL;
 }
 
 static int enter(Memory *m, int mode, double start)
@@ -218,11 +219,7 @@ static int keep(Instance *i, void **to, const void *from)
 
 EXPORTED(const char *, ${fmi}GetVersion)(void) { return "${version}"; }
 EXPORTED(int, ${fmi}SetDebugLogging)(Instance *i, ${bool} on, size_t n, const char *const categories[])
-{
-    (void)i, (void)on, (void)n, (void)categories; /* it logs errors only */
-    return OK;
-}
-
+{ return (void)i, (void)on, (void)n, (void)categories, OK; } /* it logs errors only */
 EXPORTED(void, ${fmi}FreeInstance)(void *i) { free(i); }
 EXPORTED(int, ${fmi}ExitInitializationMode)(Instance *i) { look_ahead(i), i->now.mode = STEPPING; return OK; }
 EXPORTED(int, ${fmi}Terminate)(Instance *i) { i->now.mode = TERMINATED; return OK; }
@@ -231,11 +228,7 @@ EXPORTED(int, ${fmi}GetFMU${S}tate)(Instance *i, void **state) { return keep(i, 
 EXPORTED(int, ${fmi}SetFMU${S}tate)(Instance *i, void *state) { i->now = *(Memory *)state; return OK; }
 EXPORTED(int, ${fmi}FreeFMU${S}tate)(Instance *i, void **state) { (void)i, free(*state), *state = NULL; return OK; }
 EXPORTED(int, ${fmi}SerializedFMU${S}tateSize)(Instance *i, void *state, size_t *size)
-{
-    (void)i, (void)state, *size = sizeof(Memory);
-    return OK;
-}
-
+{ return (void)i, (void)state, *size = sizeof(Memory), OK; }
 EXPORTED(int, ${fmi}SerializeFMU${S}tate)(Instance *i, void *state, char bytes[], size_t size)
 {
     void *to = bytes;
