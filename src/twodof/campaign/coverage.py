@@ -96,8 +96,9 @@ def _good(flight: Flight) -> Flight:
 class Coverage:
     """How an unknown of `experiment` was found in `flights`: the share `covered` of its intervals that hold the truth.
 
-    `p_value` is that of the exact binomial test against `LEVEL`. `bias` and `spread` are in units of `claim`, the
-    median standard deviation that a flight claims. `silent` flights claim none, as the unknown lies at its bound.
+    `p_value` is that of the exact binomial test against `LEVEL`. `claim` is the median standard deviation that a flight
+    claims. `bias` and `spread` are mean and standard deviation of the errors, each over its own flight's claim.
+    `silent` flights claim none, as the unknown lies at its bound.
     `prior_left` is the claim over the prior's standard deviation, 0 without a prior.
     """
 
@@ -150,7 +151,7 @@ def coverage(rows: Sequence[Row]) -> Iterator[Coverage]:
             continue
         error = np.array([one["value"] - one["true"] for one in told])
         sigma = np.array([one["sigma"] for one in told])
-        claim = float(np.median(sigma))
+        scaled = error / sigma
         covered = int(np.count_nonzero(np.abs(error) <= deviations(LEVEL) * sigma))
         left = median(one["sigma"] / one["prior"] if one["prior"] else 0.0 for one in told)
         yield Coverage(
@@ -159,11 +160,11 @@ def coverage(rows: Sequence[Row]) -> Iterator[Coverage]:
             len(found),
             len(found) - len(told),
             truth,
-            claim,
+            float(np.median(sigma)),
             covered,
             float(binomtest(covered, len(told), LEVEL).pvalue),
-            float(error.mean()) / claim,
-            float(error.std(ddof=1)) / claim if len(told) > 1 else math.nan,
+            float(scaled.mean()),
+            float(scaled.std(ddof=1)) if len(told) > 1 else math.nan,
             left,
         )
 
