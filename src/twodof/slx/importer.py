@@ -675,10 +675,9 @@ class _Import:
         def made(c: Asked) -> Made:
             if not code:
                 raise NotTranslated("its code is not in the file")
-            if any(one.kind != "real" for one in c.inputs):
-                raise NotTranslated("inputs that are not double are not translated")
-            item = MatlabFunction(code, [one.width for one in c.inputs], c.names)
-            return Made(item, [Signal("real", port.width) for port in item.outputs], expand=False)
+            item = MatlabFunction(code, c.inputs, c.names)
+            c.notes += item.notes
+            return Made(item, [Signal(port.kind, port.width, port.shape) for port in item.outputs], expand=False)
 
         return made
 

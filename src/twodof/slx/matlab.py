@@ -22,6 +22,8 @@ from scipy.io import loadmat
 
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
+from twodof.slx.matlab_signals import OPERATORS as SIGNAL_OPERATORS
+from twodof.slx.matlab_signals import SIGNAL_FUNCTIONS, of_signals
 from twodof.slx.matlab_values import (
     FUNCTIONS,
     MOST_ELEMENTS,
@@ -36,7 +38,6 @@ from twodof.slx.matlab_values import (
     joined,
     number,
     numeric,
-    of_signals,
     scalar,
     stored,
 )
@@ -52,11 +53,11 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 _QUOTED = re.compile(r"'((?:[^'\n]|'')*)'")
-_BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
+BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
 _BINARY = (("||",), ("&&",), ("|",), ("&",), ("<", "<=", ">", ">=", "==", "~=", "!="), (":",), ("+", "-"))
 _PRODUCTS = ("*", "/", "\\", ".*", "./", ".\\")
 _KEYWORDS = {"if", "elseif", "else", "for", "parfor", "while", "switch", "case", "try", "catch", "function", "end"}
-_SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold"}
+SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold"}
 """Statements that change no value: skipped without a word."""
 
 
@@ -69,7 +70,9 @@ class Skipped:
 
 
 @dataclass(frozen=True)
-class _Token:
+class Token:
+    """A word, number, text, operator or line end of a script."""
+
     kind: str
     text: str
     line: int
@@ -80,7 +83,7 @@ class _Token:
 def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression") -> Value:
     """Return the value of an expression. Raises DiagramError, with the name that is missing or what is not computed."""
     try:
-        parser = _Parser(_tokens(text), _Machine(dict(workspace)))
+        parser = Parser(tokens_of(text), Machine(dict(workspace)))
         value = parser.expression()
         parser.skip(";", "line")
         if parser.here.kind != "end":
@@ -93,12 +96,12 @@ def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression
 def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
     """Carry out a script in a workspace, which it changes; return the statements that were not computed."""
     skipped: list[Skipped] = []
-    machine = _Machine(workspace)
+    machine = Machine(workspace)
     try:
-        tokens = _tokens(_BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), code))
+        tokens = tokens_of(BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), code))
     except NotComputed as reason:
         return [Skipped(1, str(reason))]
-    parser = _Parser(tokens, machine)
+    parser = Parser(tokens, machine)
     while parser.here.kind != "end":
         if parser.skip(";", ",", "line"):
             continue
@@ -108,13 +111,13 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
             if parser.here.kind != "end" and not parser.skip(";", ",", "line"):
                 raise NotComputed(f"'{parser.here.text}' is not expected")
         except NotComputed as reason:
-            parser.at = _next_statement(tokens, start)
+            parser.at = next_statement(tokens, start)
             for name in _assigned(tokens[start : parser.at]):
                 workspace.pop(name, None)
             if tokens[start].text == "clear":
                 for token in tokens[start + 1 : parser.at]:
                     workspace.pop(token.text, None)
-            if tokens[start].text not in _SILENT:
+            if tokens[start].text not in SILENT:
                 skipped.append(Skipped(line, str(reason)))
     return skipped
 
@@ -175,8 +178,9 @@ def mat_values(data: bytes, where: str) -> fence.Answer:
     return {"values": {n: v for n, v in values.items() if n not in missing}, "skipped": skipped}, arrays
 
 
-def _tokens(text: str) -> list[_Token]:
-    found: list[_Token] = []
+def tokens_of(text: str) -> list[Token]:
+    """Return the tokens of a script. Raises NotComputed for a character that none begins with."""
+    found: list[Token] = []
     at, line, spaced = 0, 1, False
     while at < len(text):
         before = found[-1] if found else None
@@ -185,7 +189,7 @@ def _tokens(text: str) -> list[_Token]:
         )
         quoted = _QUOTED.match(text, at)
         if quoted is not None and not (operand and not spaced):
-            found.append(_Token("text", quoted[1].replace("''", "'"), line, spaced))
+            found.append(Token("text", quoted[1].replace("''", "'"), line, spaced))
             at, spaced = quoted.end(), False
             continue
         match = _TOKEN.match(text, at)
@@ -199,13 +203,13 @@ def _tokens(text: str) -> list[_Token]:
             continue
         if kind == "text":
             said = said[1:-1].replace('""', '"')
-        found.append(_Token(kind, said, line, spaced))
+        found.append(Token(kind, said, line, spaced))
         line += kind == "line"
         spaced = False
-    return [*found, _Token("end", "the end", line, False)]
+    return [*found, Token("end", "the end", line, False)]
 
 
-def _next_statement(tokens: list[_Token], at: int) -> int:
+def next_statement(tokens: list[Token], at: int) -> int:
     """Return the place after the statement at `at`: an `if` or a loop with all that belongs to it."""
     depth = blocks = 0
     while tokens[at].kind != "end":
@@ -222,7 +226,7 @@ def _next_statement(tokens: list[_Token], at: int) -> int:
     return at
 
 
-def _assigned(tokens: list[_Token]) -> set[str]:
+def _assigned(tokens: list[Token]) -> set[str]:
     """Return the names that statements give a value: those left of each `=`, in `[a, b] = ...` several."""
     names: set[str] = set()
     start = depth = 0
@@ -245,7 +249,7 @@ def _assigned(tokens: list[_Token]) -> set[str]:
 def names_in(text: str) -> list[str]:
     """Return the names in an expression, of `p.gains.Kp` the first; none where it cannot be read."""
     try:
-        tokens = _tokens(text)
+        tokens = tokens_of(text)
     except NotComputed:
         return []
     pairs = zip(tokens, [None, *tokens], strict=False)
@@ -255,13 +259,15 @@ def names_in(text: str) -> list[str]:
 def assigned_names(code: str) -> set[str]:
     """Return the names that a script gives a value; none where it cannot be read."""
     try:
-        return _assigned(_tokens(code))
+        return _assigned(tokens_of(code))
     except NotComputed:
         return set()
 
 
 @dataclass
-class _Machine:
+class Machine:
+    """The names that a run changes, and the operations that it has taken."""
+
     names: MutableMapping[str, Value]
     steps: int = 0
     ends: list[tuple[Array, int, int]] = field(default_factory=list)
@@ -273,16 +279,16 @@ class _Machine:
             raise NotComputed(f"takes more than {MOST_STEPS} operations")
 
 
-class _Parser:
+class Parser:
     """A parser that computes as it reads: precedence as MATLAB has it."""
 
-    def __init__(self, tokens: list[_Token], machine: _Machine) -> None:
+    def __init__(self, tokens: list[Token], machine: Machine) -> None:
         self.tokens, self.machine = tokens, machine
         self.at = self.depth = 0
         self.matrix = False
 
     @property
-    def here(self) -> _Token:
+    def here(self) -> Token:
         return self.tokens[self.at]
 
     def skip(self, *texts: str) -> bool:
@@ -301,8 +307,8 @@ class _Parser:
         """Carry out an assignment, or an expression without effect."""
         self.machine.count()
         token = self.here
-        if token.kind == "name" and token.text in _SILENT:
-            self.at = _next_statement(self.tokens, self.at) - 1
+        if token.kind == "name" and token.text in SILENT:
+            self.at = next_statement(self.tokens, self.at) - 1
             return
         if token.kind == "name" and token.text in ("if", "for", "while", "switch", "function", "try", "global"):
             raise NotComputed(f"'{token.text}' is not computed")
@@ -372,6 +378,8 @@ class _Parser:
         last, step = self.binary(level + 1), np.ones((1, 1))
         if self.skip(":"):
             step, last = last, self.binary(level + 1)
+        if any(map(is_signal, (first, step, last))):
+            raise NotComputed("a range whose bounds are signals has no fixed size")
         if not all(as_array(number(one)).size for one in (first, step, last)):
             return np.zeros((1, 0))
         begin, increment, end = (float(as_array(number(one)).flat[0]) for one in (first, step, last))
@@ -395,9 +403,17 @@ class _Parser:
             self.at += 1
         value = self.power()
         for sign in reversed(signs):
-            array = as_array(value)
-            value = array if sign == "+" else -numeric(array) if sign == "-" else ~array.astype(bool)
+            value = as_array(value) if sign == "+" else self.signed(sign, as_array(value))
         return value
+
+    @staticmethod
+    def signed(sign: str, array: Array) -> Array:
+        """Return -array, or where it is not true."""
+        if is_signal(array):
+            return SIGNAL_OPERATORS["negative" if sign == "-" else "~"](array)
+        if sign == "-":
+            return OPERATORS["-"](np.zeros((1, 1)), array) if array.dtype.kind in "iu" else -numeric(array)
+        return ~array.astype(bool)
 
     def power(self) -> Value:
         value = self.postfix()
@@ -415,7 +431,7 @@ class _Parser:
                 signs += self.here.text == "-"
                 self.at += 1
             exponent = self.postfix()
-            value = self.apply(operator, value, -numeric(as_array(exponent)) if signs % 2 else exponent)
+            value = self.apply(operator, value, self.signed("-", as_array(exponent)) if signs % 2 else exponent)
         return value
 
     def postfix(self) -> Value:
@@ -530,12 +546,16 @@ class _Parser:
             name += f".{self.tokens[self.at + 1].text}"
             self.at += 2
         bracket = self.here.text == "(" and self.here.kind == "operator" and not (self.matrix and self.here.spaced)
-        arguments = self.arguments() if bracket else []
-        if name not in FUNCTIONS:
+        return self.called(name, self.arguments() if bracket else [], bracket)
+
+    def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
+        """Return what a function gives: for a `count` above 1 a list."""
+        signals = count > 1 or any(map(is_signal, arguments))
+        if name not in (*FUNCTIONS, *(SIGNAL_FUNCTIONS if signals else ())):
             raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
         try:
             with np.errstate(all="ignore"):
-                value = of_signals(name, arguments) if any(map(is_signal, arguments)) else FUNCTIONS[name](*arguments)
+                value = of_signals(name, arguments, count) if signals else FUNCTIONS[name](*arguments)
         except (TypeError, ValueError, IndexError, np.linalg.LinAlgError, OverflowError, MemoryError) as reason:
             raise NotComputed(f"{name}: {reason}") from None
         return bounded(value)
@@ -548,6 +568,6 @@ class _Parser:
         a, b = as_array(left), as_array(right)
         try:
             with np.errstate(all="ignore"):
-                return bounded(OPERATORS[operator](a, b))
+                return bounded((SIGNAL_OPERATORS if is_signal(a) or is_signal(b) else OPERATORS)[operator](a, b))
         except (ValueError, TypeError, np.linalg.LinAlgError) as reason:
             raise NotComputed(f"'{operator}': {reason}") from None

@@ -1,9 +1,11 @@
-"""A MATLAB Function as a block: its statements are carried out on recorded signals, and what they compute is the block.
+"""A MATLAB Function as a block: the function is carried out on recorded signals, and what it computes is the block.
 
-It takes functions without branches and loops: assignments of scalars and small matrices. The block travels in JSON as
-its recorded expressions, as any block of a user's own does.
+Persistent variables are states. They are empty before the first call, in which most functions give them constants: then
+these are the initial values. Where the first call computes anything else than it would from them, it is translated
+apart and chosen by a state that says whether it was. The block travels in JSON as its recorded expressions.
 """
 
+import keyword
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,95 +13,188 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import Port
-from twodof.blocks.expressions.arrays import vector
+from twodof.blocks.declarations import Port, State
+from twodof.blocks.expressions.arrays import flat_of, shape_of, shaped, vector
+from twodof.blocks.expressions.expr import Expr, tracing
+from twodof.blocks.namespaces import BusView, Inputs, States
+from twodof.blocks.trace import leaves_of, matrices, with_matrices
 from twodof.errors import DiagramError
-from twodof.slx.matlab import run
-from twodof.slx.matlab_values import Array, Value, as_array, number
-
-_HEAD = re.compile(
-    r"^\s*function\s+(?:(?P<outputs>\[[^\]]*\]|\w+)\s*=\s*)?(?P<name>\w+)\s*(?:\((?P<inputs>[^)]*)\))?[ \t]*[;,]?",
-    re.MULTILINE,
+from twodof.slx.matlab import Machine
+from twodof.slx.matlab_program import Code, call, chosen, is_empty
+from twodof.slx.matlab_values import (
+    Array,
+    NotComputed,
+    Value,
+    cast,
+    class_of,
+    filled,
+    is_signal,
+    lifted,
 )
-_COMMENT = re.compile(r"%[^\n]*|\.\.\.[^\n]*\n")
+from twodof.slx.translation import Signal
+
+_CALLED = "was_called"
+Names = dict[str, Value]
 
 
 class MatlabFunction(Block):
-    """The function `code` of signals with these widths (None: a scalar); `names` are values of the workspace.
+    """The function `code` of inputs of these types; `names` are values of the workspace for its `parameters`.
 
-    Raises DiagramError with the line of a statement that is not translated.
+    Without `parameters` the arguments after the inputs are these. `notes` say what is left out. Raises DiagramError
+    with the line of a statement that is not translated.
     """
 
-    def __init__(self, code: str, widths: Sequence[int | None], names: Mapping[str, Value] | None = None) -> None:
-        heads = list(_HEAD.finditer(code))
-        if len(heads) != 1:
-            raise DiagramError(f"{len(heads)} functions in it", "MATLAB Function", "one is translated")
-        (head,) = heads
-        self.arguments = _list(head["inputs"])
-        self.results = _list((head["outputs"] or "").strip("[]"))
-        # Lines keep their numbers.
-        self.body = "\n" * code[: head.end()].count("\n") + re.sub(r"\bend\s*;?\s*$", "", code[head.end() :])
-        self.names = dict(names or {})
-        given = self.arguments[: len(widths)]
-        self.names = {name: value for name, value in self.names.items() if name in self.arguments[len(widths) :]}
-        if len(given) + len(self.names) < len(self.arguments):
-            raise DiagramError("an argument has neither a signal nor a value", "MATLAB Function", "give --workspace")
-        if not self.results:
-            raise DiagramError("it has no output", "MATLAB Function", "leave it out")
-        # The sizes do not hang on the numbers: some stand for the signals.
-        trial = {
-            name: np.full((width or 1, 1), 0.5 + 0.1 * k)
-            for k, (name, width) in enumerate(zip(given, widths, strict=True))
-        }
-        shapes = {name: value.shape for name, value in self._computed(trial).items()}
-        if bad := [name for name, shape in shapes.items() if 1 not in shape]:
-            raise DiagramError(f"the output {bad[0]} is a matrix", "MATLAB Function", "give a vector")
-        self.inputs = [Port(_port(name), width=width) for name, width in zip(given, widths, strict=True)]
-        sizes = {name: shape[0] * shape[1] for name, shape in shapes.items()}
-        self.outputs = [Port(_port(name), width=None if sizes[name] == 1 else sizes[name]) for name in self.results]
+    def __init__(
+        self,
+        code: str,
+        signals: Sequence[Signal],
+        names: Mapping[str, Value] | None = None,
+        parameters: Sequence[str] = (),
+    ) -> None:
+        try:
+            self.code = Code(code)
+            main = self.code.main
+            free = [name for name in main.arguments if name not in parameters]
+            self.given, rest = free[: len(signals)], free[len(signals) :]
+            self.constants = {k: v for k, v in (names or {}).items() if k in (*rest, *parameters)}
+            if missing := [k for k in main.arguments if k not in (*self.given, *self.constants)]:
+                raise NotComputed(f"the argument {missing[0]} has neither a signal nor a value: give --workspace")
+            if not main.results:
+                raise NotComputed("it has no output")
+            self.inputs = [one.port(_port(name)) for name, one in zip(self.given, signals, strict=True)]
+            with tracing("MATLAB Function"):
+                self._declare()
+        except NotComputed as reason:
+            raise DiagramError(str(reason), "MATLAB Function", "change the function, or draw it with blocks") from None
+        self.notes = list(dict.fromkeys(self.code.notes))
 
-    def _computed(self, given: Mapping[str, Array]) -> dict[str, Array]:
-        names: dict[str, Value] = {**self.names, **given}
-        for skipped in run(self.body, names):
-            raise DiagramError(
-                f"line {skipped.line}: {skipped.why}", "MATLAB Function", "only assignments are translated"
-            )
-        if missing := [name for name in self.results if name not in names]:
-            raise DiagramError(f"the output {missing[0]} gets no value", "MATLAB Function", "assign it")
-        return {name: as_array(number(names[name])) for name in self.results}
+    def _declare(self) -> None:
+        """Find the states with their initial values, and the outputs."""
+        u = with_matrices(Inputs(dict(leaves_of("input", self.inputs))), matrices(self.inputs))
+        results, kept = self._called(u, {})
+        for name, value in kept.items():
+            if is_empty(value) or not isinstance(value, np.ndarray):
+                raise NotComputed(f"the persistent {name.split('.')[1]} is not an array after the first call")
+        initial = {name: self.code.initial.get(name) for name in kept}
+        self.first = any(
+            not isinstance(one, np.ndarray) or is_signal(one) or one.shape != kept[name].shape
+            for name, one in initial.items()
+        )
+        self.first = self.first or not _same((results, kept), self._called(u, initial))
+        self.kept = {name: _state_name(name) for name in kept}
+        self.sizes = {name: value.shape for name, value in kept.items()}
+        self.states = [
+            _state(self.kept[name], value, None if self.first else initial[name]) for name, value in kept.items()
+        ]
+        self.states += [State(_CALLED, False, "bool")] * self.first
+        x = with_matrices(States(dict(leaves_of("state", self.states))), matrices(self.states))
+        for name, value in self._called(u, self._remembered(x))[1].items():
+            if value.shape != kept[name].shape or class_of(value) != class_of(kept[name]):
+                raise NotComputed(f"the persistent {name.split('.')[1]} changes its size or class")
+        self.outputs = [_declared(name, value) for name, value in self._computed(u, x)[0].items()]
+
+    def _called(self, u: Any, kept: Names) -> tuple[Names, Names]:
+        """Return the results of a call, and the persistent variables after it."""
+        given = [
+            self.constants[name] if name in self.constants else value_of(u[_port(name)])
+            for name in self.code.main.arguments
+        ]
+        machine = Machine(dict(kept))
+        names = call(self.code, self.code.main, given, machine)
+        results = {name: names[name] for name in self.code.main.results}
+        for name, value in results.items():
+            if not isinstance(value, np.ndarray) or not value.size:
+                raise NotComputed(f"the output {name} is not an array")
+        return results, dict(machine.names)
+
+    def _remembered(self, x: Any) -> Names:
+        return {name: value_of(x[one]).reshape(self.sizes[name], order="F") for name, one in self.kept.items()}
+
+    def _computed(self, u: Any, x: Any) -> tuple[Names, Names]:
+        later = self._called(u, self._remembered(x))
+        if not self.first:
+            return later
+        first, called = self._called(u, {}), x[_CALLED]
+        pairs = zip(first, later, strict=True)
+        results, kept = ({name: chosen(called, b[name], a[name], name) for name in b} for a, b in pairs)
+        return results, kept
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """Carry out the statements on the inputs."""
-        given = {}
-        for name, port in zip(self.arguments, self.inputs, strict=False):
-            value = np.empty((port.width or 1, 1), dtype=object)
-            for k in range(port.width or 1):
-                value[k, 0] = u[port.name] if port.width is None else u[port.name][k]
-            given[name] = value
-        found = self._computed(given)
-        answers = {}
-        for name, port in zip(self.results, self.outputs, strict=True):
-            elements = list(found[name].flatten(order="F"))
-            plain = [float(one) if isinstance(one, int | float | np.generic) else one for one in elements]
-            answers[port.name] = plain[0] if port.width is None else vector(plain)
-        return answers
+        """Carry out the function on the inputs."""
+        found = self._computed(u, x)[0]
+        return {port.name: _plain(found[name], port) for name, port in zip(found, self.outputs, strict=True)}
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Carry out the function, and keep the persistent variables."""
+        if not self.states:
+            return {}
+        kept = self._computed(u, x)[1]
+        made = {s.name: _plain(kept[name], s) for name, s in zip(self.kept, self.states, strict=False)}
+        return {**made, _CALLED: True} if self.first else made
 
 
 def last_index(code: str, argument: int) -> int:
     """Return the largest constant index that code has for its argument of this number, from 1; 1 without any."""
-    head = _HEAD.search(code)
-    names = _list(head["inputs"]) if head is not None else []
+    try:
+        names = Code(code).main.arguments
+    except NotComputed:
+        return 1
     if argument > len(names):
         return 1
     return max((int(one) for one in re.findall(rf"\b{names[argument - 1]}\s*\(\s*(\d{{1,4}})\s*\)", code)), default=1)
 
 
-def _list(text: str | None) -> list[str]:
-    return [one for one in re.split(r"[\s,]+", _COMMENT.sub("", text or "")) if one]
+def value_of(shown: Any) -> Value:
+    """Return an input or a state as a value of MATLAB: a vector is a column, a bus a structure."""
+    if isinstance(shown, BusView):
+        return {name: value_of(value) for name, value in vars(shown).items()}
+    shape, flat = shape_of(shown), flat_of(shown)
+    if not shape:
+        return filled((1, 1), [flat])
+    return filled((*shape, 1)[:2], (flat[k] for k in range(int(np.prod(shape)))))
+
+
+def _size(array: Array) -> dict[str, Any]:
+    """Return width and shape of an array's declaration."""
+    if array.size == 1:
+        return {}
+    return {"width": array.size} if 1 in array.shape else {"shape": array.shape}
+
+
+def _declared(name: str, array: Array) -> Port:
+    return Port(_port(name), class_of(array), **_size(array))
+
+
+def _state(name: str, array: Array, initial: Array | None) -> State:
+    kind = class_of(array)
+    start = np.zeros(array.shape) if initial is None else initial
+    values = start.astype(bool) if kind == "bool" else start.astype(float if kind in ("real", "float32") else int)
+    plain = values.tolist() if array.size > 1 and 1 not in array.shape else values.flatten(order="F").tolist()
+    return State(name, plain[0] if array.size == 1 else plain, kind, **_size(array))
+
+
+def _plain(array: Array, declared: Port | State) -> Any:
+    """Return an array as the value of a port or state."""
+    elements = [cast(one, declared.kind) for one in lifted(array).flatten(order="F")]
+    return elements[0] if declared.width is None else shaped(vector(elements), declared.shape)
+
+
+def _same(one: tuple[Names, Names], other: tuple[Names, Names]) -> bool:
+    """Return True if two calls record the same expressions."""
+    for first, second in zip(one, other, strict=True):
+        for name, value in first.items():
+            if value.shape != second[name].shape or class_of(value) != class_of(second[name]):
+                return False
+            pairs = zip(lifted(value).flatten(), lifted(second[name]).flatten(), strict=True)
+            if not all(a is b or (not isinstance(a, Expr) and repr(a) == repr(b)) for a, b in pairs):
+                return False
+    return True
+
+
+def _state_name(name: str) -> str:
+    return name.replace(".", "_")
 
 
 def _port(name: str) -> str:
     """Return a legal name of a port: MATLAB's may end with an underscore, and Python's words are taken."""
-    return (
-        f"{name}_" if name in ("if", "in", "is", "as", "or", "and", "not", "from", "lambda", "def", "class") else name
-    )
+    return f"{name}_" if keyword.iskeyword(name) or name.startswith("#") else name

@@ -1,14 +1,21 @@
 """Values of the MATLAB subset: arrays, texts, structures, cells; operators and functions on them."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
+from itertools import product
+from operator import and_
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.elementary import functions
-from twodof.blocks.expressions.expr import maximum, minimum, sqrt
+from twodof.blocks.elementary.functions import round_half_away
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.arrays import vector
+from twodof.blocks.expressions.conversions import to_float32, to_float64, to_stored
+from twodof.blocks.expressions.expr import Expr, convert, to_int32, where
+from twodof.blocks.expressions.numbers import FLOATS, INTEGER_TYPES, WORDS
 
 Array = NDArray[Any]
 Value = Any
@@ -120,6 +127,8 @@ def joined(rows: list[list[Value]]) -> Value:
         return "".join(value for row in rows for value in row)
     if any(isinstance(value, dict | list) for row in rows for value in row):
         raise NotComputed("an array of structures or cells is not computed")
+    if any(is_signal(value) for row in rows for value in row):
+        return _joined_signals([[as_array(value) for value in row] for row in rows])
     try:
         made = [np.hstack([as_array(v) for v in row if as_array(v).size] or [np.zeros((0, 0))]) for row in rows]
         return bounded(np.vstack([row for row in made if row.size] or [np.zeros((0, 0))]))
@@ -152,6 +161,8 @@ def indexed(value: Value, index: list[Value]) -> Value:
     if isinstance(value, dict | list) or len(index) > 2:
         raise NotComputed("an array of structures or cells, or of three dimensions, is not computed")
     array = as_array(value)
+    if any(map(is_signal, index)):
+        return _selected(array, index)
     try:
         if not index:
             return value
@@ -187,6 +198,13 @@ def stored(old: Value, steps: list[Any], value: Value) -> Value:
     if rest or isinstance(old, dict | list | str):
         raise NotComputed("an array of structures or cells is not computed")
     array, new = (np.zeros((0, 0)) if old is None else old), as_array(value)
+    if any(map(is_signal, step)):
+        return _replaced(array, step, new)
+    if is_signal(array) or is_signal(new):
+        new = converted(new, class_of(array) if array.size else class_of(new))
+        array = lifted(array)
+    elif np.issubdtype(array.dtype, np.integer):
+        new = _cast(array.dtype.type)(new)
     index = step if len(step) == 2 else (np.ones((1, 1)), *step) if array.shape[0] <= 1 else (*step, np.ones((1, 1)))
     rows, columns = (_places(i, max(array.shape[n], new.shape[n])) for n, i in enumerate(index))
     shape = [max(array.shape[n], int(p.max(initial=-1)) + 1) for n, p in enumerate((rows, columns))]
@@ -199,6 +217,155 @@ def stored(old: Value, steps: list[Any], value: Value) -> Value:
     except ValueError:
         raise NotComputed("what is assigned has another size") from None
     return grown
+
+
+# --- arrays that hold recorded signals: of type object, with expressions, numbers of the language and literals
+
+
+def is_signal(value: Value) -> bool:
+    """Return True for an array that holds recorded signals."""
+    return isinstance(value, np.ndarray) and value.dtype == object
+
+
+def filled(shape: tuple[int, ...], elements: Iterable[Any]) -> Array:
+    """Return an array of signals, from its elements column after column."""
+    made = np.empty(math.prod(shape), dtype=object)
+    for k, element in enumerate(elements):
+        made[k] = element
+    return made.reshape(shape, order="F")
+
+
+def is_literal(element: Any) -> bool:
+    """Return True for a constant element that is a double or logical."""
+    return type(element) in (int, float, bool)
+
+
+def kind_of(element: Any) -> str:
+    """Return the kind of an element in the block language."""
+    return element.kind if isinstance(element, Expr) else numbers.kind_of(element)
+
+
+def class_of(array: Array) -> str:
+    """Return the kind of all elements; where several meet, of the array that MATLAB makes of them."""
+    kinds = [kind_of(element) for element in lifted(array).flatten(order="F")]
+    whole = [kind for kind in kinds if kind in INTEGER_TYPES]
+    return next((one for one in (*whole[:1], "float32", "real", "bool") if one in kinds), "real")
+
+
+def lifted(array: Array) -> Array:
+    """Return an array as one of signals. Raises NotComputed for integers of 64 bits."""
+    if is_signal(array):
+        return array
+    kind = array.dtype.name
+    if kind in INTEGER_TYPES:
+        elements = [INTEGER_TYPES[kind](int(one)) for one in array.flatten(order="F")]
+    elif kind in ("float64", "float32", "bool"):
+        elements = array.flatten(order="F").tolist()
+        elements = [to_float32(one) for one in elements] if kind == "float32" else elements
+    else:
+        raise NotComputed(f"{kind} beside a signal is not translated")
+    return filled(array.shape, elements)
+
+
+def cast(element: Any, kind: str) -> Any:
+    """Return an element converted as MATLAB does: to integers it rounds half away from 0 and saturates."""
+    own = kind_of(element)
+    if own == kind:
+        return element
+    if is_literal(element):
+        value = np.array([[element]])
+        if kind in INTEGER_TYPES:
+            return INTEGER_TYPES[kind](int(_cast(KINDS[kind])(value)[0, 0]))
+        return bool(element) if kind == "bool" else to_float32(float(element)) if kind == "float32" else float(element)
+    if kind == "bool":
+        return element != 0
+    if kind in FLOATS:
+        return convert(element, kind)
+    whole = round_half_away(element if own in FLOATS else to_float64(element))
+    return convert(whole, kind) if kind in WORDS else to_stored(whole, kind, "saturate")
+
+
+def converted(array: Array, kind: str) -> Array:
+    """Return an array of signals in which each element is of this kind."""
+    source = lifted(array)
+    return filled(source.shape, (cast(element, kind) for element in source.flatten(order="F")))
+
+
+def _joined_signals(rows: list[list[Array]]) -> Array:
+    kind = class_of(np.hstack([lifted(one).reshape(1, -1) for row in rows for one in row]))
+    try:
+        filled_rows = [[converted(one, kind) for one in row if one.size] for row in rows]
+        return np.vstack([np.hstack(row) for row in filled_rows if row])
+    except ValueError:
+        raise NotComputed("the rows of a matrix differ in length") from None
+
+
+def _place(element: Any) -> Any:
+    """Return the place, from 0, that an index stands for: a number, or a signal."""
+    if is_literal(element) and element == int(element) and element >= 1 and not isinstance(element, bool):
+        return int(element) - 1
+    if is_literal(element) or kind_of(element) == "bool":
+        raise NotComputed("an index is not a whole number from 1 on")
+    return to_int32(element) - 1
+
+
+def _grid(array: Array, index: Sequence[Value]) -> tuple[Array, list[list[Any]], tuple[int, ...]]:
+    """Return the array that one index or two address, the places of each, and the size of what they address."""
+    if any(is_signal(one) and class_of(one) == "bool" for one in index):
+        raise NotComputed("a logical index that depends on signals selects a number of elements that is not fixed")
+    flat = array.reshape((-1, 1), order="F") if len(index) == 1 else array
+    indices = [*index, np.ones((1, 1))][:2]
+    places = [
+        [_place(one) for one in each.flatten(order="F")]
+        if is_signal(each)
+        else list(map(int, _places(each, flat.shape[n])))
+        for n, each in enumerate(indices)
+    ]
+    if any(isinstance(one, int) and one >= flat.shape[n] for n, each in enumerate(places) for one in each):
+        raise NotComputed(f"an index is beyond an array of {array.shape[0]} by {array.shape[1]}")
+    shape = (len(places[0]), len(places[1]))
+    if len(index) == 1 and 1 in array.shape and array.size > 1:
+        shape = shape if array.shape[1] == 1 else shape[::-1]
+    elif len(index) == 1:
+        shape = as_array(index[0]).shape
+    return flat, places, shape
+
+
+def _selected(array: Array, index: Sequence[Value]) -> Array:
+    """Return the elements at indices that are signals; one outside is, as in no program, the nearest."""
+    flat, (rows, columns), shape = _grid(lifted(array), index)
+    height = flat.shape[0]
+    elements = vector(list(converted(flat, class_of(flat)).flatten(order="F")))
+    return filled(shape, (elements[c * height + r] for c in columns for r in rows))
+
+
+def _replaced(array: Array, index: Sequence[Value], new: Array) -> Array:
+    """Return an array with the elements at indices that are signals replaced."""
+    kind = class_of(array)
+    cells, values = converted(array, kind), converted(new, kind)
+    if len(index) == 1 and class_of(as_array(index[0])) == "bool":
+        mask = as_array(index[0])
+        if new.size != 1 or mask.shape != array.shape:
+            raise NotComputed("a logical index that depends on signals takes one value")
+        chosen = (
+            where(m, values[0, 0], c) for m, c in zip(mask.flatten(order="F"), cells.flatten(order="F"), strict=True)
+        )
+        return filled(array.shape, chosen)
+    flat, (rows, columns), _ = _grid(cells, index)
+    if new.size not in (1, len(rows) * len(columns)):
+        raise NotComputed("what is assigned has another size")
+    given = (
+        np.broadcast_to(values.reshape(-1, order="F"), len(rows) * len(columns))
+        if new.size == 1
+        else values.flatten(order="F")
+    )
+    flat = flat.copy()
+    for (c, r), value in zip(product(columns, rows), given, strict=True):
+        for i in [r] if isinstance(r, int) else range(flat.shape[0]):
+            for j in [c] if isinstance(c, int) else range(flat.shape[1]):
+                here = [place == at for place, at in ((r, i), (c, j)) if not isinstance(place, int)]
+                flat[i, j] = where(reduce(and_, here), value, flat[i, j]) if here else value
+    return flat.reshape(array.shape, order="F")
 
 
 # --- functions
@@ -288,10 +455,6 @@ def _real(function: Callable[..., Any], low: float, high: float = math.inf) -> C
 
 
 def _power(a: Array, b: Array) -> Array:
-    if is_signal(a) or is_signal(b):
-        if is_signal(b) or b.size != 1 or float(b.flat[0]) not in (2.0, 3.0):
-            raise ValueError("a signal has only the powers 2 and 3")
-        return a * a if float(b.flat[0]) == 2.0 else a * a * a
     if ((a < 0) & (b != np.floor(b))).any():
         raise ValueError("complex numbers are not computed")
     return np.asarray(np.power(a, b))
@@ -306,7 +469,8 @@ def _cast(kind: Any) -> Callable[[Value], Array]:
         array = as_array(number(value))
         if np.issubdtype(kind, np.integer):
             limits = np.iinfo(kind)
-            return np.clip(_round(array.astype(float)), float(limits.min), float(limits.max)).astype(kind)
+            whole = np.nan_to_num(_round(array.astype(float)), posinf=np.inf, neginf=-np.inf)
+            return np.asarray(np.clip(whole, float(limits.min), float(limits.max)).astype(kind))
         return array.astype(kind)
 
     return cast
@@ -325,50 +489,6 @@ OPERATORS: dict[str, Callable[[Array, Array], Array]] = {
     "&&": lambda a, b: np.array([[bool(a.all()) and bool(b.all())]]),
     "||": lambda a, b: np.array([[bool(a.all()) or bool(b.all())]]),
 }  # fmt: skip
-
-
-def is_signal(value: Value) -> bool:
-    """Return True for an array that holds recorded signals."""
-    return isinstance(value, np.ndarray) and value.dtype == object
-
-
-_SHAPES = (
-    "reshape",
-    "transpose",
-    "numel",
-    "size",
-    "length",
-    "repmat",
-    "diag",
-    "isempty",
-    "fliplr",
-    "flipud",
-    "sum",
-    "times",
-)
-"""Functions that arrange or add elements, whatever they are."""
-_ON_SIGNALS: dict[str, Callable[..., Any]] = {
-    "sin": functions.sin, "cos": functions.cos, "tan": functions.tan, "asin": functions.asin, "acos": functions.acos,
-    "atan": functions.atan, "atan2": functions.atan2, "tanh": functions.tanh, "exp": functions.exp,
-    "log": functions.log, "floor": functions.floor, "ceil": functions.ceil, "fix": functions.trunc, "sqrt": sqrt,
-    "abs": abs, "max": maximum, "min": minimum, "double": lambda v: v, "hypot": functions.hypot,
-}  # fmt: skip
-
-
-def of_signals(name: str, arguments: list[Value]) -> Value:
-    """Return a function of arrays of which some hold signals. Raises NotComputed for a function without one."""
-    if name in _SHAPES:
-        return FUNCTIONS[name](*arguments)
-    if name == "cross" and len(arguments) == 2:
-        (a, b, c), (d, e, f) = (list(as_array(one).flatten()) for one in arguments)
-        made = np.empty(3, dtype=object)
-        made[:] = [b * f - c * e, c * d - a * f, a * e - b * d]
-        return made.reshape(as_array(arguments[0]).shape)
-    if name == "dot" and len(arguments) == 2:
-        return as_array(arguments[0]).reshape(1, -1) @ as_array(arguments[1]).reshape(-1, 1)
-    if name not in _ON_SIGNALS or (name in ("max", "min") and len(arguments) != 2):
-        raise NotComputed(f"{name} of a signal is not translated")
-    return np.frompyfunc(_ON_SIGNALS[name], len(arguments), 1)(*map(as_array, arguments))
 
 
 FUNCTIONS: dict[str, Callable[..., Value]] = {
@@ -405,6 +525,13 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "conv": lambda a, b: np.convolve(as_array(a).flatten(), as_array(b).flatten())[None, :],
     "poly": lambda v: np.poly(as_array(v).flatten())[None, :], "fliplr": lambda v: as_array(v)[:, ::-1],
     "polyval": lambda p, x: np.polyval(as_array(p).flatten(), as_array(x)), "flipud": lambda v: as_array(v)[::-1],
+    **{f"is{name}": _each(getattr(np, f"is{name}")) for name in ("nan", "inf", "finite")},
+    "xor": lambda a, b: np.logical_xor(as_array(a), as_array(b)), "not": lambda a: ~as_array(a).astype(bool),
+    "and": lambda a, b: np.logical_and(as_array(a), as_array(b)), "mtimes": lambda a, b: OPERATORS["*"](a, b),
+    "or": lambda a, b: np.logical_or(as_array(a), as_array(b)),
+    "strcmp": lambda a, b: bool(isinstance(a, str) and a == b),
+    "intmax": lambda k="int32": np.array([[np.iinfo(k).max]], k), "cast": lambda v, k: _cast(KINDS[k])(v),
+    "intmin": lambda k="int32": np.array([[np.iinfo(k).min]], k),
     "isfield": lambda s, name: bool(isinstance(s, dict) and name in s),
     **{name: _cast(kind) for name, kind in KINDS.items()},
 }  # fmt: skip

@@ -1,0 +1,446 @@
+"""A MATLAB Function as a program: branches, loops, local functions and persistent variables, on recorded signals.
+
+Where a condition is a signal both branches are carried out, and each name gets its value of the branch that holds.
+`return`, `break` and `continue` under such a condition become a signal too: what follows them is carried out where it
+does not hold. Loops have constant ranges and are written out.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.expressions.expr import where
+from twodof.errors import DiagramError
+from twodof.slx.matlab import BLOCK_COMMENT, SILENT, Machine, Parser, next_statement, tokens_of
+from twodof.slx.matlab_signals import truth
+from twodof.slx.matlab_values import (
+    Array,
+    NotComputed,
+    Value,
+    as_array,
+    class_of,
+    filled,
+    is_signal,
+    lifted,
+    stored,
+)
+
+DEEPEST_CALLS = 20
+EMPTY = np.zeros((0, 0))
+_OPENING = {"if", "for", "parfor", "while", "switch", "try", "function"}
+_CLAUSES = {"elseif", "else", "case", "otherwise", "catch"}
+_WORDS = _OPENING | _CLAUSES | {"end"}
+_LEAVING = {"return": "#return", "break": "#break", "continue": "#continue"}
+"""The names that say under which condition the statements after one of these are left out."""
+_SILENT = {*SILENT, "assert", "error", "coder.inline", "coder.extrinsic", "coder.allowpcode"}
+
+
+class NotTranslatedLine(NotComputed):
+    """A statement that is not translated, with its line."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of a program: arguments and results by name, and the tokens of its body."""
+
+    name: str
+    arguments: list[str]
+    results: list[str]
+    start: int
+    stop: int
+
+
+class Code:
+    """The text of a MATLAB Function: its tokens, where its blocks end, and its functions, the main one first.
+
+    Raises NotComputed for a text that cannot be read.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.tokens = tokens_of(BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), text))
+        self.initial: dict[str, Value] = {}
+        """First values of persistent variables, as the last run found them empty."""
+        self.notes: list[str] = []
+        words = self._words()
+        count = Counter(word for _, word in words)
+        # Functions of a file either all end with `end`, or none does.
+        closed = count["end"] == sum(count[word] for word in _OPENING)
+        self.blocks: dict[int, list[int]] = {}
+        heads = [at for at, word in words if word == "function"]
+        opened = list[list[int]]()
+        for at, word in words:
+            if word in _OPENING and (closed or word != "function"):
+                opened.append([at])
+            elif word in _CLAUSES and opened:
+                opened[-1].append(at)
+            elif word == "end":
+                if not opened:
+                    raise NotComputed(f"line {self.tokens[at].line}: this end ends nothing")
+                start, *clauses = opened.pop()
+                self.blocks[start] = [*clauses, at]
+        if opened:
+            raise NotComputed(f"line {self.tokens[opened[-1][0]].line}: a block has no end")
+        if not heads:
+            raise NotComputed("there is no function in it")
+        ends = [self.blocks[head][-1] for head in heads] if closed else [*heads[1:], len(self.tokens) - 1]
+        made = [self._function(head, end) for head, end in zip(heads, ends, strict=True)]
+        self.main = made[0]
+        self.functions = {one.name: one for one in made}
+
+    def _words(self) -> list[tuple[int, str]]:
+        """Return the keywords that open, part or close a block: neither a field nor the `end` of an index."""
+        depth, found = 0, list[tuple[int, str]]()
+        for at, token in enumerate(self.tokens):
+            if token.kind == "operator":
+                depth += (token.text in ("(", "[", "{")) - (token.text in (")", "]", "}"))
+            elif token.kind == "name" and depth == 0 and token.text in _WORDS and self.tokens[at - 1].text != ".":
+                found.append((at, token.text))
+        return found
+
+    def _function(self, at: int, stop: int) -> Function:
+        """Read `function [a, b] = name(c, d)`, of which only the name must be there."""
+        names: list[list[str]] = [[]]
+        at += 1
+        line = self.tokens[at].line
+        while self.tokens[at].line == line and self.tokens[at].kind != "end":
+            token = self.tokens[at]
+            if token.text in ("=", "("):
+                names.append([])
+            elif token.kind == "name":
+                names[-1].append(token.text)
+            elif token.text == "~":
+                names[-1].append(f"#{at}")
+            at += 1
+            if token.text == ")" or token.kind == "line" or token.text == ";":
+                break
+        assigned = any(t.text == "=" and t.kind == "operator" for t in self.tokens[:at] if t.line == line)
+        results = names.pop(0) if assigned else []
+        (name, *_), *arguments = names if names and names[0] else [["?"]]
+        return Function(name, arguments[0] if arguments else [], results, at, stop)
+
+
+class Program(Parser):
+    """The run of one function of a program, in `names`, which it changes.
+
+    The value of the persistent variable x of the function f is kept in the name `f.x`.
+    """
+
+    def __init__(self, code: Code, function: Function, machine: Machine, depth: int = 0) -> None:
+        super().__init__(code.tokens, machine)
+        self.code, self.function_run, self.calls = code, function, depth
+        self.persistent: list[str] = []
+        if depth > DEEPEST_CALLS:
+            raise NotComputed("functions call each other too deep")
+
+    def run(self) -> None:
+        """Carry out the function. Raises NotTranslatedLine for a statement that is not translated."""
+        self.at = self.function_run.start
+        self.block(self.function_run.stop)
+        for name in self.persistent:
+            self.machine.names[f"{self.function_run.name}.{name}"] = self.machine.names[name]
+
+    def block(self, stop: int) -> None:
+        """Carry out the statements up to a token."""
+        while self.at < stop:
+            if self.skip(";", ",", "line"):
+                continue
+            left = self._left()
+            if left is True:
+                break
+            if left is not False:
+                self.either(left, lambda: None, partial(self._afresh, self.at, stop))
+                break
+            line, empty = self.here.line, self._empty()
+            try:
+                self.statement()
+                if self.at < stop and not self.skip(";", ",", "line"):
+                    raise NotComputed(f"'{self.here.text}' is not expected")
+            except NotTranslatedLine:
+                raise
+            except (NotComputed, DiagramError) as reason:
+                why = reason.what if isinstance(reason, DiagramError) else str(reason)
+                raise NotTranslatedLine(f"line {line}: {why}") from None
+            for name in empty - self._empty():
+                self.code.initial[f"{self.function_run.name}.{name}"] = self.machine.names[name]
+        self.at = stop
+
+    def _empty(self) -> set[str]:
+        """Return the persistent variables that have no value yet."""
+        return {name for name in self.persistent if is_empty(self.machine.names[name])}
+
+    def _left(self) -> Any:
+        """Return whether the next statements are left out: a bool, or a signal."""
+        found: Any = False
+        for name in _LEAVING.values():
+            one = truth(self.machine.names.get(name, EMPTY))
+            if one is True:
+                return True
+            found = one if found is False else found if one is False else found | one
+        return found
+
+    def _afresh(self, start: int, stop: int) -> None:
+        for name in _LEAVING.values():
+            self.machine.names.pop(name, None)
+        self.at = start
+        self.block(stop)
+
+    def either(self, condition: Any, one: Callable[[], None], other: Callable[[], None]) -> None:
+        """Carry out both, each on names of its own, and let each name have the value that the condition chooses."""
+        before, made = self.machine.names, []
+        for branch in (one, other):
+            self.machine.names = dict(before)
+            branch()
+            made.append(self.machine.names)
+        self.machine.names = before
+        first, second = made
+        for name in dict.fromkeys((*first, *second)):
+            missing = np.array([[False]]) if name.startswith("#") else None
+            a, b = first.get(name, missing), second.get(name, missing)
+            before[name] = a if b is None else b if a is None else chosen(condition, a, b, name)
+
+    def statement(self) -> None:
+        """Carry out a statement, or a block with all that belongs to it."""
+        token = self.here
+        word = token.text if token.kind == "name" else ""
+        self.machine.count()
+        if word in ("if", "switch", "for", "parfor", "while"):
+            start = self.at
+            *clauses, end = self.code.blocks[start]
+            if word == "if":
+                self._choose([start, *clauses], end)
+            elif word == "switch":
+                self.at += 1
+                value = self.expression()
+                self._choose(clauses, end, value)
+            else:
+                self._loop(end)
+            self.at = end + 1
+        elif word in _LEAVING:
+            self.at += 1
+            self.machine.names[_LEAVING[word]] = np.array([[True]])
+        elif word == "persistent":
+            self.at += 1
+            while self.here.kind == "name":
+                self.persistent.append(self.here.text)
+                kept = f"{self.function_run.name}.{self.here.text}"
+                self.machine.names[self.here.text] = self.machine.names.setdefault(kept, EMPTY)
+                self.at += 1
+                self.skip(",")
+        elif word in ("global", "try", "function"):
+            raise NotComputed(f"'{word}' is not translated")
+        elif self._dotted() in _SILENT:
+            if word == "error":
+                self.code.notes.append(f"line {token.line}: error() is left out")
+            self.at = next_statement(self.tokens, self.at) - 1
+        elif token.text == "[" and (close := self._several()) is not None:
+            self._assign_several(close)
+        else:
+            super().statement()
+
+    def _dotted(self) -> str:
+        one, dot, two = (*self.tokens[self.at : self.at + 3], *[self.tokens[-1]] * 3)[:3]
+        return f"{one.text}.{two.text}" if dot.text == "." else one.text if one.kind == "name" else ""
+
+    def _choose(self, clauses: Sequence[int], end: int, value: Value = None) -> None:
+        """Carry out the first of these clauses whose condition holds; of `switch` the value."""
+        if not clauses:
+            return
+        start, stop = clauses[0], (*clauses[1:], end)[0]
+        self.at = start + 1
+        word = self.tokens[start].text
+        held: Any = True
+        if word == "case":
+            held = self._matches(value, self.expression())
+        elif word not in ("else", "otherwise"):
+            held = truth(self.expression())
+        body = self.at
+
+        def act() -> None:
+            self.at = body
+            self.block(stop)
+
+        if isinstance(held, bool):
+            act() if held else self._choose(clauses[1:], end, value)
+        else:
+            self.either(held, act, lambda: self._choose(clauses[1:], end, value))
+
+    def _matches(self, value: Value, case: Value) -> Any:
+        found: Any = False
+        for one in case if isinstance(case, list) else [case]:
+            if isinstance(value, str) or isinstance(one, str):
+                same: Any = isinstance(value, str) and isinstance(one, str) and value == one
+            else:
+                same = truth(self.apply("==", value, one))
+            if same is True:
+                return True
+            found = same if found is False else found if same is False else found | same
+        return found
+
+    def _loop(self, end: int) -> None:
+        """Carry out a loop turn by turn."""
+        word = self.here.text
+        self.at += 1
+        if word == "while":
+            self._while(self.at, end, 0)
+        else:
+            bracket, name = self.skip("("), self.here.text
+            self.at += 1
+            self.need("=")
+            columns = as_array(self.expression()).T
+            if bracket:
+                self.need(")")
+            start = self.at
+            for column in columns:
+                self._turn(name, column.reshape(-1, 1), start, end)
+                self.machine.names.pop("#continue", None)
+                if self._left() is True:
+                    break
+        self.machine.names.pop("#break", None)
+
+    def _while(self, start: int, end: int, nested: int) -> None:
+        """Carry out the turns of a `while`; those after one that may leave it only where it does not."""
+        if nested > DEEPEST_CALLS:
+            raise NotComputed(f"a loop may be left in more than {DEEPEST_CALLS} turns")
+        left: Any = False
+        while left is False:
+            self.at = start
+            held = truth(self.expression())
+            if not isinstance(held, bool):
+                raise NotComputed("how often the loop turns depends on signals")
+            if not held:
+                return
+            self.block(end)
+            self.machine.names.pop("#continue", None)
+            left = self._left()
+
+        def go_on() -> None:
+            for name in _LEAVING.values():
+                self.machine.names.pop(name, None)
+            self._while(start, end, nested + 1)
+
+        if left is not True:
+            self.either(left, lambda: None, go_on)
+
+    def _turn(self, name: str, value: Array, start: int, end: int) -> None:
+        """Carry out one turn of a `for`, where it was not left before."""
+
+        def act() -> None:
+            self.machine.names[name] = value
+            self._afresh(start, end)
+
+        left = self._left()
+        if left is False:
+            act()
+        elif left is not True:
+            self.either(left, lambda: None, act)
+
+    def _several(self) -> int | None:
+        """Return the place of the `]` of `[a, b] = ...`; None for a matrix."""
+        at = depth = 0
+        for at in range(self.at, len(self.tokens) - 1):
+            text = self.tokens[at].text if self.tokens[at].kind == "operator" else ""
+            depth += (text in ("[", "(", "{")) - (text in ("]", ")", "}"))
+            if depth == 0 or self.tokens[at].kind == "line":
+                break
+        return at if depth == 0 and self.tokens[at + 1].text == "=" else None
+
+    def _assign_several(self, close: int) -> None:
+        targets: list[tuple[str, list[Any]] | None] = []
+        self.at += 1
+        while self.at < close:
+            if self.skip("~", "!"):
+                targets.append(None)
+            elif not self.skip(","):
+                target = self.target()
+                if target is None:
+                    raise NotComputed(f"'{self.here.text}' is not expected")
+                targets.append(target)
+        self.at = close + 2
+        name = self.here.text
+        self.at += 1
+        found = self.called(name, self.arguments() if self.here.text == "(" else [], True, len(targets))
+        if name == "size" and len(targets) == 2:
+            found = [found[:, [0]], found[:, [1]]]
+        if not isinstance(found, list) or len(found) < len(targets):
+            raise NotComputed(f"{name} gives fewer than {len(targets)} values")
+        for target, value in zip(targets, found, strict=False):
+            if target is not None:
+                key, steps = target
+                self.machine.names[key] = stored(self.machine.names.get(key), steps, value)
+
+    def primary(self) -> Value:
+        """Return a value; a persistent variable has one after its first assignment."""
+        name = self.here.text if self.here.kind == "name" else ""
+        value = super().primary()
+        if name in self.persistent and is_empty(value):
+            raise NotComputed(f"{name} is read before it has a value")
+        return value
+
+    def function(self) -> Value:
+        """Call a function; `isempty` looks at a persistent variable without reading it."""
+        texts = [one.text for one in self.tokens[self.at : self.at + 4]]
+        if texts[:2] == ["isempty", "("] and texts[3:] == [")"] and texts[2] in self.persistent:
+            self.at += 4
+            return np.array([[texts[2] in self._empty()]])
+        return super().function()
+
+    def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
+        """Call a function of the program, or one of MATLAB's."""
+        function = self.code.functions.get(name)
+        if function is None:
+            if name == "size" and count == 2:
+                count = 1
+            return super().called(name, arguments, bracket, count)
+        if len(arguments) > len(function.arguments):
+            raise NotComputed(f"{name} takes {len(function.arguments)} arguments")
+        found = call(self.code, function, arguments, self.machine, self.calls + 1)
+        if count > 1:
+            return [found.get(one) for one in function.results]
+        return found.get(function.results[0]) if function.results else None
+
+
+def call(
+    code: Code, function: Function, arguments: Sequence[Value], machine: Machine, depth: int = 0
+) -> Mapping[str, Value]:
+    """Carry out a function on arguments and return its names. Persistent variables are kept in the machine's names."""
+    kept = {name: value for name, value in machine.names.items() if "." in name}
+    names: MutableMapping[str, Value] = {**kept, **dict(zip(function.arguments, arguments, strict=False))}
+    names["nargin"] = np.array([[float(len(arguments))]])
+    inner = Machine(names, machine.steps)
+    Program(code, function, inner, depth).run()
+    machine.steps = inner.steps
+    machine.names.update({name: value for name, value in inner.names.items() if "." in name})
+    for name in function.results:
+        if name not in inner.names and depth == 0:
+            raise NotComputed(f"the output {name} gets no value")
+    return inner.names
+
+
+def is_empty(value: Value) -> bool:
+    """Return True for an array without elements."""
+    return isinstance(value, np.ndarray) and value.size == 0
+
+
+def chosen(condition: Any, a: Value, b: Value, name: str) -> Value:
+    """Return `a` where the condition holds, else `b`. Raises NotComputed for values of two classes or sizes."""
+    if a is b:
+        return a
+    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
+        return {key: chosen(condition, a[key], b[key], f"{name}.{key}") for key in a}
+    if not isinstance(a, np.ndarray) or not isinstance(b, np.ndarray):
+        if type(a) is type(b) and not isinstance(a, dict | list) and a == b:
+            return a
+        raise NotComputed(f"{name} has values in two branches that are not one class")
+    if a.shape != b.shape:
+        sizes = " and ".join(f"{one.shape[0]} by {one.shape[1]}" for one in (a, b))
+        raise NotComputed(f"{name} is {sizes} in two branches")
+    if not is_signal(a) and not is_signal(b) and a.dtype == b.dtype and a.tobytes() == b.tobytes():
+        return a
+    if class_of(a) != class_of(b):
+        raise NotComputed(f"{name} is {class_of(a)} and {class_of(b)} in two branches")
+    pairs = zip(lifted(a).flatten(order="F"), lifted(b).flatten(order="F"), strict=True)
+    return filled(a.shape, (one if one is other else where(condition, one, other) for one, other in pairs))

@@ -1,0 +1,454 @@
+"""MATLAB's operators and functions on arrays that hold recorded signals, in MATLAB's classes.
+
+Logical values compute as doubles, single wins over double. An integer wins over both: it is computed in double, rounded
+half away from 0, and saturated.
+"""
+
+import math
+import operator
+from collections.abc import Callable, Sequence
+from functools import reduce
+from operator import and_, or_
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.elementary import functions
+from twodof.blocks.expressions.conversions import to_float64, to_stored
+from twodof.blocks.expressions.expr import convert, sqrt, where
+from twodof.blocks.expressions.numbers import INTEGER_TYPES, STORED
+from twodof.slx.matlab_values import (
+    FUNCTIONS,
+    KINDS,
+    Array,
+    NotComputed,
+    Value,
+    as_array,
+    cast,
+    class_of,
+    converted,
+    filled,
+    is_literal,
+    is_signal,
+    kind_of,
+    lifted,
+    scalar,
+)
+
+Elementwise = Callable[..., Any]
+LARGEST_SYSTEM = 6
+"""Unknowns of a linear system that is solved for signals."""
+
+
+def _double(element: Any) -> Any:
+    return to_float64(float(element) if is_literal(element) else element)
+
+
+def _common(*elements: Any) -> str:
+    """Return the class in which MATLAB computes with elements of these classes."""
+    kinds = {kind_of(one) for one in elements}
+    whole = kinds & INTEGER_TYPES.keys()
+    if len(whole) > 1 or (whole and "float32" in kinds):
+        raise NotComputed(f"{' and '.join(sorted(kinds))} in one operation")
+    return whole.pop() if whole else "float32" if "float32" in kinds else "real"
+
+
+def _arithmetic(compute: Elementwise) -> Elementwise:
+    """Return an operation in the common class of its operands."""
+
+    def operate(*elements: Any) -> Any:
+        kind = _common(*elements)
+        if kind in INTEGER_TYPES:
+            return cast(compute(*map(_double, elements)), kind)
+        if all(map(is_literal, elements)):
+            with np.errstate(all="ignore"):
+                return float(compute(*map(np.float64, elements)))
+        return compute(*(cast(one, kind) for one in elements))
+
+    return operate
+
+
+def _comparison(compute: Elementwise) -> Elementwise:
+    def compare(a: Any, b: Any) -> Any:
+        kinds = {kind_of(a), kind_of(b)}
+        if kinds == {"float32", "real"}:
+            literals = [one for one in (a, b) if is_literal(one)]
+            if not literals or float(np.float32(literals[0])) != literals[0]:
+                raise NotComputed("a comparison of single with double is not translated: convert one of them")
+            a, b = cast(a, "float32"), cast(b, "float32")
+        elif "bool" in kinds and kinds <= {"bool", "real"}:
+            a, b = cast(a, "real"), cast(b, "real")
+        elif len(kinds) > 1:
+            a, b = _double(a), _double(b)
+        return compute(a, b)
+
+    return compare
+
+
+def _logical(compute: Elementwise) -> Elementwise:
+    return lambda *elements: compute(*(cast(one, "bool") for one in elements))
+
+
+def _not(element: Any) -> Any:
+    truth = cast(element, "bool")
+    return not truth if is_literal(truth) else ~truth
+
+
+def _power(x: Any, y: Any) -> Any:
+    if is_literal(y) and float(y) in (1.0, 2.0, 3.0):
+        return reduce(operator.mul, [x] * int(y))
+    if is_literal(y) and y == 0.5:
+        return sqrt(x)
+    return functions.pow(x, y)
+
+
+_add, _subtract, _times, _divide = map(_arithmetic, (operator.add, operator.sub, operator.mul, operator.truediv))
+_less, _greater = _comparison(operator.lt), _comparison(operator.gt)
+
+
+def _each(compute: Elementwise) -> Callable[..., Array]:
+    """Return the operation on arrays, element by element, scalars with every size."""
+
+    def operate(*arrays: Value) -> Array:
+        lifts = [lifted(as_array(one)) for one in arrays]
+        shape = np.broadcast_shapes(*(one.shape for one in lifts))
+        columns = (np.broadcast_to(one, shape).flatten(order="F") for one in lifts)
+        return filled(shape, map(compute, *columns))
+
+    return operate
+
+
+def _product(a: Array, b: Array) -> Array:
+    """Return the matrix product; each element is summed from the left."""
+    if a.size == 1 or b.size == 1:
+        return _each(_times)(a, b)
+    if a.shape[1] != b.shape[0]:
+        raise NotComputed(f"a product of {a.shape[0]} by {a.shape[1]} and {b.shape[0]} by {b.shape[1]}")
+    left, right = lifted(a), lifted(b)
+    return filled(
+        (a.shape[0], b.shape[1]),
+        (reduce(_add, (_times(x, y) for x, y in zip(row, column, strict=True))) for column in right.T for row in left),
+    )
+
+
+def _solved(a: Array, b: Array) -> Array:
+    """Return the solution x of a x = b by Gaussian elimination with partial pivoting."""
+    if a.size == 1:
+        return _each(_divide)(b, a)
+    size = a.shape[0]
+    if a.shape[1] != size or size > LARGEST_SYSTEM or b.shape[0] != size:
+        raise NotComputed(f"a system of {a.shape[0]} by {a.shape[1]} with signals is not solved")
+    rows = [[cast(one, "real") for one in row] for row in np.hstack([lifted(a), lifted(b)])]
+    for k in range(size):
+        for n in range(k + 1, size):
+            larger = _greater(_absolute(rows[n][k]), _absolute(rows[k][k]))
+            swapped = [(where(larger, y, x), where(larger, x, y)) for x, y in zip(rows[k], rows[n], strict=True)]
+            rows[k], rows[n] = map(list, zip(*swapped, strict=True))
+        for n in range(k + 1, size):
+            factor = _divide(rows[n][k], rows[k][k])
+            rows[n] = [_subtract(y, _times(factor, x)) for x, y in zip(rows[k], rows[n], strict=True)]
+    solution: list[list[Any]] = [[] for _ in range(size)]
+    for k in reversed(range(size)):
+        right = rows[k][size:]
+        for n in range(k + 1, size):
+            right = [_subtract(y, _times(rows[k][n], x)) for x, y in zip(solution[n], right, strict=True)]
+        solution[k] = [_divide(y, rows[k][k]) for y in right]
+    return filled((size, b.shape[1]), (row[j] for j in range(b.shape[1]) for row in solution))
+
+
+def _matrix_power(a: Array, b: Array) -> Array:
+    if a.size == b.size == 1:
+        return _each(_arithmetic(_power))(a, b)
+    if is_signal(b) or b.size != 1 or not 0 < float(b.flat[0]) <= 16 or not float(b.flat[0]).is_integer():
+        raise NotComputed("this power of a matrix with signals is not translated")
+    return reduce(_product, [a] * int(b.flat[0]))
+
+
+def truth(value: Value) -> Any:
+    """Return whether an `if` holds: a bool for a constant, else a signal."""
+    array = as_array(value)
+    if not is_signal(array):
+        return bool(array.size and np.all(array))
+    return reduce(and_, (cast(one, "bool") for one in array.flatten())) if array.size else False
+
+
+def _both(compute: Elementwise) -> Callable[[Array, Array], Array]:
+    return lambda a, b: filled((1, 1), [compute(truth(a), truth(b))])
+
+
+OPERATORS: dict[str, Callable[..., Array]] = {
+    "+": _each(_add), "-": _each(_subtract), ".*": _each(_times), "./": _each(_divide),
+    ".\\": _each(lambda a, b: _divide(b, a)), "*": _product, ".^": _each(_arithmetic(_power)), "^": _matrix_power,
+    "/": lambda a, b: _each(_divide)(a, b) if b.size == 1 else _solved(b.T, a.T).T, "\\": _solved,
+    "<": _each(_less), ">": _each(_greater), "<=": _each(_comparison(operator.le)),
+    ">=": _each(_comparison(operator.ge)), "==": _each(_comparison(operator.eq)),
+    "~=": _each(_comparison(operator.ne)), "!=": _each(_comparison(operator.ne)), "&": _each(_logical(and_)),
+    "|": _each(_logical(or_)), "&&": _both(and_), "||": _both(or_), "~": _each(_not),
+    "negative": _each(_arithmetic(operator.neg)),
+}  # fmt: skip
+
+
+# --- functions
+
+
+def _absolute(element: Any) -> Any:
+    return _arithmetic(abs)(element)
+
+
+def _rounded(compute: Elementwise) -> Elementwise:
+    return lambda element: element if kind_of(element) in INTEGER_TYPES else _float(compute)(element)
+
+
+def _float(compute: Elementwise) -> Elementwise:
+    """Return a function of floats: logical values are doubles to it, integers have none."""
+
+    def operate(*elements: Any) -> Any:
+        kind = _common(*elements)
+        if kind in INTEGER_TYPES:
+            raise NotComputed(f"a function of floats meets {kind}")
+        return compute(*(cast(one, kind) for one in elements))
+
+    return operate
+
+
+def _is_nan(x: Any) -> Any:
+    return x != x
+
+
+def _sign(x: Any) -> Any:
+    return where(x > 0.0, 1.0, where(x < 0.0, -1.0, x))
+
+
+def _better(larger: bool) -> Elementwise:
+    """Return whether the second element is to be taken: it is beyond the first, or the first is NaN and it is not."""
+
+    def better(a: Any, b: Any) -> Any:
+        beyond = b > a if larger else b < a
+        return beyond if kind_of(a) in INTEGER_TYPES else beyond | (_is_nan(a) & (b == b))
+
+    return better
+
+
+def _extreme(larger: bool) -> Callable[..., Any]:
+    better = _better(larger)
+
+    def two(a: Any, b: Any) -> Any:
+        kind = _common(a, b)
+        if is_literal(a) and is_literal(b):
+            return float((np.fmax if larger else np.fmin)(a, b))
+        a, b = cast(a, kind), cast(b, kind)
+        return where(better(a, b), b, a)
+
+    def position(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
+        kind = _common(a[0], b[0])
+        first, second = cast(a[0], kind), cast(b[0], kind)
+        if is_literal(first) and is_literal(second):
+            taken = second > first if larger else second < first
+            return b if taken or (first != first and second == second) else a
+        taken = better(first, second)
+        return where(taken, second, first), where(taken, b[1], a[1])
+
+    def compute(*values: Value, count: int = 1) -> Value:
+        if len(values) == 2 and as_array(values[1]).size:
+            return _each(two)(*values)
+        array = lifted(as_array(values[0]))
+        if count == 1:
+            return _reduced(two)(array, *values[2:])
+        if len(values) > 1 or 1 not in array.shape:
+            raise NotComputed("the place of an extreme is found in a vector only")
+        best, at = reduce(position, ((one, float(k + 1)) for k, one in enumerate(array.flatten(order="F"))))
+        return [filled((1, 1), [best]), filled((1, 1), [at])]
+
+    return compute
+
+
+def _reduced(two: Elementwise, one: Elementwise = lambda v: v) -> Callable[..., Array]:
+    """Return a function that takes the elements along a dimension together, from the first on."""
+
+    def compute(value: Value, dimension: Value = None) -> Array:
+        array = lifted(as_array(value))
+        axis = int(scalar(dimension)) - 1 if dimension is not None else 1 if array.shape[0] == 1 else 0
+        if axis not in (0, 1) or not array.size:
+            raise NotComputed("this dimension is not translated")
+        lines = array.T if axis == 0 else array
+        made = filled((len(lines), 1), (reduce(two, map(one, line)) for line in lines))
+        return made.T if axis == 0 else made
+
+    return compute
+
+
+def _mean(value: Value, dimension: Value = None) -> Array:
+    total = _sum(value, dimension)
+    return _each(_divide)(total, np.array([[as_array(value).size / total.size]]))
+
+
+def _number(element: Any) -> Any:
+    return cast(element, "real") if kind_of(element) == "bool" else element
+
+
+_sum = _reduced(_add, _number)
+
+
+def _accumulated(value: Value) -> Array:
+    array = lifted(as_array(value))
+    if 1 not in array.shape:
+        raise NotComputed("the cumulative sum of a matrix with signals is not translated")
+    sums = [_number(array.flat[0])]
+    for element in array.flatten()[1:]:
+        sums.append(_add(sums[-1], element))
+    return filled(array.shape, sums)
+
+
+def _cross(a: Value, b: Value) -> Array:
+    left, right = (list(lifted(as_array(one)).flatten()) for one in (a, b))
+    if len(left) != 3 or len(right) != 3:
+        raise NotComputed("cross takes vectors of 3")
+    made = [_subtract(_times(left[i - 2], right[i - 1]), _times(left[i - 1], right[i - 2])) for i in range(3)]
+    return filled(as_array(a).shape, made)
+
+
+def _norm(value: Value, kind: Value = None) -> Array:
+    array = as_array(value)
+    if 1 not in array.shape or (kind is not None and scalar(kind) != 2.0):
+        raise NotComputed("only the 2-norm of a vector with signals is translated")
+    elements = list(lifted(array).flatten())
+    squares = reduce(_add, (_times(one, one) for one in elements))
+    return filled((1, 1), [_absolute(elements[0]) if len(elements) == 1 else _float(sqrt)(squares)])
+
+
+def _determinant(value: Value) -> Array:
+    a = lifted(as_array(value))
+    if a.shape[0] != a.shape[1] or not 1 <= len(a) <= 3:
+        raise NotComputed("the determinant of more than 3 by 3 signals is not translated")
+
+    def minor(rows: list[int], columns: list[int]) -> Any:
+        if len(rows) == 1:
+            return a[rows[0], columns[0]]
+        terms = [_times(a[rows[0], c], minor(rows[1:], [d for d in columns if d != c])) for c in columns]
+        return reduce(_add, [terms[0], *(_subtract(0.0, t) if k % 2 == 0 else t for k, t in enumerate(terms[1:]))])
+
+    whole = list(range(len(a)))
+    return filled((1, 1), [minor(whole, whole)])
+
+
+def _remainder(x: Any, y: Any) -> Any:
+    """Return the exact remainder of x / y with the sign of x, as C's fmod; NaN for y = 0."""
+    whole = functions.trunc(x / y)
+    # whole * y and its rounding error, by Veltkamp's and Dekker's products: their difference to x is exact.
+    parts = []
+    for factor in (whole, y):
+        split = factor * 134217729.0
+        high = split - (split - factor)
+        parts += [high, factor - high]
+    rounded = whole * y
+    error = ((parts[0] * parts[2] - rounded) + parts[0] * parts[3] + parts[1] * parts[2]) + parts[1] * parts[3]
+    left = (x - rounded) - error
+    size = abs(y)
+    left = where((left != 0.0) & ((left < 0.0) != (x < 0.0)), left + where(x < 0.0, -size, size), left)
+    return where(size == math.inf, where(abs(x) == math.inf, math.nan, x), left)
+
+
+def _near_multiple(x: Any, y: Any) -> Any:
+    """Return whether x / y is a whole number but for rounding, where y is none: MATLAB's remainders are 0 there."""
+    ratio = abs(x / y)
+    off = abs(ratio - functions.floor(ratio + 0.5))
+    return (y != functions.floor(y)) & ~(off > float(np.finfo(float).eps) * ratio)
+
+
+def _rem(x: Any, y: Any) -> Any:
+    return where(_near_multiple(x, y), 0.0, _remainder(x, y))
+
+
+def _mod(x: Any, y: Any) -> Any:
+    left = _remainder(x, y)
+    turned = where((left != 0.0) & ((x < 0.0) != (y < 0.0)), left + y, left)
+    return where(y == 0.0, x, where(_near_multiple(x, y), 0.0, turned))
+
+
+def _bits(compute: Elementwise) -> Elementwise:
+    def operate(a: Any, b: Any) -> Any:
+        kind = _common(a, b)
+        if kind not in INTEGER_TYPES:
+            raise NotComputed("bits of a double are not translated: convert it to an integer")
+        found = compute(cast(a, kind), cast(b, kind))
+        return to_stored(found, kind, "wrap") if kind in STORED else found
+
+    return operate
+
+
+def _shifted(value: Value, by: Value) -> Array:
+    count = int(scalar(by))
+    array = lifted(as_array(value))
+    kind = class_of(array)
+    if not kind.startswith("uint") or abs(count) > 31:
+        raise NotComputed(f"a shift of {kind} is not translated")
+
+    def shift(element: Any) -> Any:
+        wide = convert(element, "uint32")
+        found = wide << count if count > 0 else wide >> -count
+        return to_stored(found, kind, "wrap") if kind in STORED else found
+
+    return _each(shift)(array)
+
+
+def _interpolated(places: Value, values: Value, at: Value) -> Array:
+    """Return the linear interpolation between constant places; NaN outside."""
+    x, y = as_array(places).flatten(order="F"), lifted(as_array(values)).flatten(order="F")
+    if is_signal(as_array(places)) or len(x) != len(y) or len(x) < 2 or (np.diff(x) <= 0).any():
+        raise NotComputed("interp1 is translated for constant places that increase")
+
+    def one(u: Any) -> Any:
+        found: Any = math.nan
+        for k in reversed(range(len(x) - 1)):
+            slope = _divide(_subtract(y[k + 1], y[k]), float(x[k + 1] - x[k]))
+            line = _add(y[k], _times(slope, _subtract(u, float(x[k]))))
+            found = where((u >= float(x[k])) & (u <= float(x[k + 1])), line, found)
+        return found
+
+    return _each(_float(one))(at)
+
+
+_SHAPES = ("reshape", "transpose", "numel", "size", "length", "repmat", "diag", "isempty", "fliplr", "flipud")
+"""Functions that arrange elements, whatever they are."""
+SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
+    **{name: _each(_float(getattr(functions, name))) for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2",
+       "tanh", "exp", "log", "hypot")},
+    "sqrt": _each(_float(sqrt)), "abs": _each(_absolute), "sign": _each(_arithmetic(_sign)),
+    "floor": _each(_rounded(functions.floor)), "ceil": _each(_rounded(functions.ceil)),
+    "fix": _each(_rounded(functions.trunc)), "round": _each(_rounded(functions.round_half_away)),
+    "sinh": _each(_float(lambda x: (functions.exp(x) - functions.exp(-x)) / 2.0)),
+    "cosh": _each(_float(lambda x: (functions.exp(x) + functions.exp(-x)) / 2.0)),
+    "deg2rad": _each(_float(lambda x: x * (math.pi / 180.0))), "max": _extreme(True), "min": _extreme(False),
+    "rad2deg": _each(_float(lambda x: x * (180.0 / math.pi))), "sum": _sum, "prod": _reduced(_times, _number),
+    "mean": _mean, "cumsum": _accumulated, "norm": _norm, "cross": _cross, "det": _determinant,
+    "dot": lambda a, b: _product(as_array(a).reshape(1, -1), as_array(b).reshape(-1, 1)),
+    "trace": lambda a: _sum(np.diag(lifted(as_array(a)))[:, None]), "inv": lambda a: _solved(a, np.eye(len(a))),
+    "any": _reduced(or_, lambda one: cast(one, "bool")), "all": _reduced(and_, lambda one: cast(one, "bool")),
+    "mod": _each(_arithmetic(_mod)), "rem": _each(_arithmetic(_rem)), "isnan": _each(_is_nan),
+    "isinf": _each(_float(lambda x: abs(x) == math.inf)), "isfinite": _each(_float(lambda x: abs(x) < math.inf)),
+    "and": OPERATORS["&"], "or": OPERATORS["|"], "not": OPERATORS["~"], "mtimes": _product, "bitshift": _shifted,
+    "times": OPERATORS[".*"], "power": OPERATORS[".^"], "plus": OPERATORS["+"], "minus": OPERATORS["-"],
+    "rdivide": OPERATORS["./"], "xor": _each(_logical(operator.ne)), "interp1": _interpolated,
+    "bitand": _each(_bits(and_)), "bitor": _each(_bits(or_)), "bitxor": _each(_bits(operator.xor)),
+    "cast": lambda value, kind: SIGNAL_FUNCTIONS[kind](value),
+}  # fmt: skip
+
+
+def _conversion(kind: str) -> Callable[[Value], Array]:
+    return lambda value: converted(as_array(value), kind)
+
+
+_CLASSES = {"double": "real", "single": "float32", "logical": "bool", "boolean": "bool"}
+SIGNAL_FUNCTIONS |= {name: _conversion(_CLASSES.get(name, name)) for name in KINDS if not name.endswith("int64")}
+
+
+def of_signals(name: str, arguments: Sequence[Value], count: int = 1) -> Value:
+    """Return a function of arrays of which some hold signals; for `count` results of max and min, their list.
+
+    Raises NotComputed for a function that is not translated.
+    """
+    if name in _SHAPES:
+        return FUNCTIONS[name](*arguments)
+    if name not in SIGNAL_FUNCTIONS:
+        raise NotComputed(f"{name} of a signal is not translated")
+    return SIGNAL_FUNCTIONS[name](*arguments, **({"count": count} if count > 1 else {}))

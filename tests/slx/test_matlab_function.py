@@ -1,0 +1,294 @@
+"""MATLAB Functions as blocks, beside Octave: branches, loops, persistent variables, classes and matrices over steps."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.slx.test_matlab import octave
+from twodof.blocks import Diagram
+from twodof.blocks.schema import from_json, to_json
+from twodof.compile import build
+from twodof.errors import DiagramError
+from twodof.slx.matlab_function import MatlabFunction
+from twodof.slx.translation import Signal
+
+pytestmark = pytest.mark.slow
+
+STEPS = 60
+_CLASSES = {"real": "double", "bool": "logical"}
+
+
+def drawn(signal: Signal, draw: np.random.Generator) -> np.ndarray:
+    """Random inputs of a type, over the steps."""
+    shape = (STEPS, *(signal.shape or (() if signal.width is None else (signal.width,))))
+    if signal.kind == "real":
+        return np.asarray(np.round(draw.normal(0.0, 2.0, shape), 2))
+    if signal.kind == "bool":
+        return np.asarray(draw.random(shape) < 0.5)
+    limits = np.iinfo(signal.number)
+    return draw.integers(limits.min, limits.max, shape, dtype=signal.number, endpoint=True)
+
+
+def flown(code: str, signals: list[Signal], inputs: list[np.ndarray]) -> tuple[MatlabFunction, dict[str, np.ndarray]]:
+    """The block of a function, and what its diagram gives after a round trip through JSON."""
+    block = MatlabFunction(code, signals)
+    d = Diagram("function")
+    names = [f"in{k}" for k in range(len(signals))]
+    for name, signal in zip(names, signals, strict=True):
+        d.declare(signal.port(name))
+    d.add("f", block, inputs=dict(zip([port.name for port in block.inputs], names, strict=True)))
+    for port in block.outputs:
+        d.output(port.name, f"f.{port.name}")
+    program = build(from_json(to_json(d)), dt=0.01)
+    return block, program.machine().run(STEPS, dict(zip(names, inputs, strict=True)))
+
+
+def literal(value: np.ndarray, kind: str) -> str:
+    """The MATLAB text of an array of one or two dimensions, or of a number; a vector is a column."""
+    array = np.atleast_1d(value)
+    rows = array.reshape(len(array), -1)
+    text = ";".join(" ".join(f"{float(one):.17g}" for one in row) for row in rows)
+    return f"{_CLASSES.get(kind, kind)}([{text}])"
+
+
+def assert_octaves(code: str, signals: list[Signal], folder: Path, seed: int = 1) -> MatlabFunction:
+    """Compare outputs and their classes with Octave's over the steps."""
+    draw = np.random.default_rng(seed)
+    inputs = [drawn(signal, draw) for signal in signals]
+    block, found = flown(code, signals, inputs)
+    results = [port.name for port in block.outputs]
+    calls = [
+        f"[{', '.join(f'r{k}' for k in range(len(results)))}] = f({', '.join(row)});"
+        + "".join(f" Y{k}(end + 1, :) = double(r{k}(:)'); C{k} = class(r{k});" for k in range(len(results)))
+        for row in zip(
+            *([literal(v, s.number) for v in given] for given, s in zip(inputs, signals, strict=True)), strict=True
+        )
+    ]
+    begin = "".join(f"Y{k} = [];" for k in range(len(results)))
+    shown = [shown for k in range(len(results)) for shown in (f"Y{k}", f"C{k}")]
+    answers = octave("\n".join([code, begin, *calls]), shown, folder)
+    for k, port in enumerate(block.outputs):
+        values, letters = answers[2 * k], answers[2 * k + 1]
+        assert values is not None, code
+        assert letters is not None
+        assert "".join(map(chr, map(int, letters[1]))) == _CLASSES.get(port.kind, port.kind), port.name
+        wanted = np.reshape(values[1], values[0], order="F")
+        mine = found[port.name].astype(float)
+        if port.shape is not None:
+            mine = mine.transpose(0, 2, 1)  # column after column
+        # Elementary functions, powers and solutions are those of two libraries, and states carry them on.
+        assert np.allclose(mine.reshape(wanted.shape), wanted, rtol=1e-11, atol=1e-13, equal_nan=True), (
+            port.name,
+            code,
+        )
+    return block
+
+
+REAL, VECTOR, MATRIX = Signal(), Signal("real", 3), Signal("real", 6, (2, 3))
+
+BRANCHES = """function [y, n] = f(u, v)
+% a comment with if and end
+persistent x k
+if isempty(x)
+  x = 0; k = int8(120);
+end
+if u > 0 && v(1) < 1
+  x = x + u;
+elseif any(v > 2) || ~(u < -1)
+  x = -1;
+else
+  x = x * 0.5;
+end
+k = k + 1;
+y = zeros(1, 3);
+for i = 1:3
+  if v(2) > i, break; end
+  if v(3) > i - 1
+    continue
+  end
+  y(i) = g(x, i);
+end
+n = k;
+end
+function r = g(a, b)
+r = a * b;
+if a > 1
+  return
+end
+r = r + 1;
+end
+"""
+
+SWITCH = """function [y, z] = f(u, v)
+m = mod(round(u), 5);
+switch m
+  case 0
+    y = v(1);
+  case {1, 2}
+    y = v(2); if v(1) > 0, y = -y; end
+  otherwise
+    y = sum(v) + 7;
+end
+z = 0; k = 0;
+while k < 4
+  k = k + 1;
+  if v(1) > k / 2, z = z + k; else, if u > 1, break, end, end
+end
+end
+"""
+
+INTEGERS = """function [a, b, c, d, e, g, h, k] = f(u, v, w, t)
+a = u * v;
+b = u / 3 + 2.5;
+c = int32(w) - int32(u);
+d = uint8(t * 100) + uint8(v);
+e = bitand(w, uint16(255)) + bitshift(w, -3);
+g = [u; v](1) == v || w > 1000;
+h = int16(w) * 0.3 - int16(5);
+k = double(-u) / 3 + mod(double(w), 7) + (t > 1) + true;
+if ~g, a(1) = 3.7; end
+end
+"""
+
+MATRICES = """function [P, y, e, s] = f(M, v, u)
+persistent Q
+if isempty(Q), Q = eye(3) * 2; end
+A = [1 .1 0; 0 1 u/10; 0 0 1];
+Q = A * Q * A' * .5 + diag([.1 .2 .3]);
+S = M * Q * M' + eye(2);
+K = (Q * M') / S;
+P = K;
+y = Q \\ v;
+e = inv(S) * v(1:2) + det(S(1:1, 1:1)) * [1; -1];
+s = [sum(M(:)), norm(v), v' * v, max(v), min(v), mean(v), prod(v), cumsum(v)', trace(Q)];
+y(end) = y(end) - dot(v, v) + sum(cross(v, [1; 2; 3]));
+end
+"""
+
+INDICES = """function [a, b, c, d] = f(u, v, M)
+i = 1 + mod(floor(abs(u)), 3);
+a = v(i);
+b = v; b(i) = 10; b(v > 1) = 0;
+c = M(:, i) + M(1 + (u > 0), 1);
+c(1 + (u > 1)) = u;
+d = M; d(2, i) = -1; d(1, :) = [u, v(1:2)'];
+end
+"""
+
+FUNCTIONS = """function y = f(u, v)
+[m, at] = max(v); [n, low] = min(abs(v));
+[r, c] = size(v);
+y = [m; at; n; low; r; c; mod(u, 2*pi); rem(u, .7); mod(-u, 3); mod(u, 0); rem(u*100, 7); fix(u); round(u); sign(v);
+     atan2(u, v(1)); exp(u)^2; u^3; abs(u)^.5; 2^u; hypot(u, 3); tanh(u); max(u, NaN); min([NaN; v]); isnan(u / 0);
+     max(v(1), v(2)); any(v > 1); all(v > -1); xor(u > 0, v(1) > 0); sqrt(abs(u)); floor(-u); ceil(u); numel(v);
+     interp1([-1 0 2], [5 6 -2], max(min(u, 2), -1)); logical(v(1)); double(u > 0) * 2; cosh(u); deg2rad(u)];
+end
+"""
+
+EARLY = """function y = f(u)
+persistent x last
+y = 0;
+if isempty(x)
+  x = u; last = [u; 1];
+  y = 100;
+  return
+end
+for k = 1:numel(last)
+  last(k) = last(k) + x / k;
+  if last(k) > 3
+    last(k) = 0;
+    return;
+  end
+end
+x = .9 * x + .1 * u;
+y = x + last(1);
+end
+"""
+
+
+@pytest.mark.parametrize(
+    ("code", "signals"),
+    [
+        (BRANCHES, [REAL, VECTOR]),
+        (SWITCH, [REAL, VECTOR]),
+        (INTEGERS, [Signal("int8"), Signal("int8"), Signal("uint16"), REAL]),
+        (MATRICES, [MATRIX, VECTOR, REAL]),
+        (INDICES, [REAL, VECTOR, MATRIX]),
+        (FUNCTIONS, [REAL, VECTOR]),
+        (EARLY, [REAL]),
+    ],
+    ids=["branches", "switch", "integers", "matrices", "indices", "functions", "early"],
+)
+def test_a_function_has_octaves_values_at_each_step(code: str, signals: list[Signal], tmp_path: Path) -> None:
+    assert_octaves(code, signals, tmp_path)
+
+
+def test_constants_of_the_first_call_are_initial_values() -> None:
+    block = MatlabFunction(BRANCHES, [REAL, VECTOR])
+    assert [(s.name, s.initial, s.kind) for s in block.states] == [("f_x", 0.0, "real"), ("f_k", 120, "int8")]
+    early = MatlabFunction(EARLY, [REAL])  # what the first call keeps hangs on its input
+    assert [s.name for s in early.states] == ["f_x", "f_last", "was_called"]
+
+
+def program(draw: random.Random, depth: int, loop: bool) -> list[str]:
+    """Random statements on doubles a and b, a persistent p and a counter n."""
+    made = []
+    for _ in range(draw.randint(1, 3)):
+        name, other = draw.choice("abpn"), draw.choice("abpnu")
+        kind = draw.randrange(7 if depth else 2)
+        condition = f"{draw.choice('abpu')} {draw.choice(['<', '>=', '>', '~='])} {draw.choice(['u', 'v', '.5', 'p'])}"
+        if kind <= 2:
+            change = f"{other} {draw.choice(['+', '-', '.*'])} {draw.choice(['u', 'v', '1.5', 'b'])}"
+            made.append(f"{name} = max(min({change}, 50), -50);")
+        elif kind <= 4:
+            other_way = ["else", *program(draw, depth - 1, loop)] if draw.random() < 0.6 else []
+            made += [f"if {condition}", *program(draw, depth - 1, loop), *other_way, "end"]
+        elif kind == 5:
+            made += [f"for k{depth} = 1:{draw.randint(1, 4)}", *program(draw, depth - 1, True), "end"]
+        else:
+            leave = draw.choice(["break", "continue", "return"] if loop else ["return"])
+            made.append(f"if {condition}, {leave}; end")
+    return made
+
+
+def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
+    draw = random.Random(5)
+    for seed in range(6):
+        body = "\n".join(program(draw, 3, False))
+        code = (
+            "function [a, b, n, q] = f(u, v)\npersistent p\nif isempty(p), p = .25; end\n"
+            f"a = u; b = v; n = 0; q = p;\n{body}\nq = p + a;\nend\n"
+        )
+        assert_octaves(code, [REAL, REAL], tmp_path, seed)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("y = svd(u);", "line 2: svd is not computed"),
+        ("for k = 1:u, y = k; end", "line 2: a range whose bounds are signals"),
+        ("while u > 0, u = u - 1; end, y = u;", "line 2: how often the loop turns depends on signals"),
+        ("if u > 0, y = 1; else, y = [1 2]; end", "line 2: y is 1 by 1 and 1 by 2 in two branches"),
+        ("if u > 0, y = 1; else, y = true; end", "line 2: y is real and bool in two branches"),
+        ("persistent p; y = p + u;", "line 2: p is read before it has a value"),
+        ("persistent p; if isempty(p), p = 0; end\np = [p u]; y = 1;", "the persistent p changes its size"),
+        ("global g; y = g;", "line 2: 'global' is not translated"),
+        ("try, y = u; catch, y = 0; end", "line 2: 'try' is not translated"),
+        ("if u > 0, y = u; if u > 1", "line 2: a block has no end"),
+        ("y = int8(u) + int16(u);", "int16 and int8 in one operation"),
+        ("y = single(u) < u;", "comparison of single with double"),
+        ("y = f(u);", "functions call each other too deep"),
+        ("v = u;", "the output y gets no value"),
+        ("y = 0; for k = 1:1000000, y = y + k; end", "more than 50000 operations"),
+    ],
+)
+def test_a_statement_that_is_not_translated_is_said_by_its_line(line: str, said: str) -> None:
+    with pytest.raises(DiagramError, match=said.replace("(", r"\(")):
+        MatlabFunction(f"function y = f(u)\n{line}\nend", [REAL])
+
+
+def test_an_error_is_left_out_and_noted() -> None:
+    block = MatlabFunction("function y = f(u)\ny = u;\nif u > 5, error('too much'); end", [REAL])
+    assert block.notes == ["line 3: error() is left out"]
