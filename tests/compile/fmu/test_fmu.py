@@ -304,6 +304,21 @@ def test_the_description_says_units_bounds_and_texts(tmp_path: Path) -> None:
     assert one.messages == ["weights.seed is fixed after the initialization"]
 
 
+@pytest.mark.parametrize("version", BOTH)
+def test_a_loop_around_the_fmu_is_no_algebraic_one(version: str, tmp_path: Path) -> None:
+    file = written(total(shape=(2, 3)), tmp_path, version)
+    assert validate_fmu(str(file)) == []
+    with Imported(file) as one:
+        assert all(unknown.dependencies == [] for unknown in one.description.outputs)
+        assert all(unknown.dependencies is None for unknown in one.description.initialUnknowns)
+        element = "m" if version == "3.0" else "m[1,1]"
+        one.set(element, [1.0] * one.size(element))
+        one.step(DT)
+        before = one.get("y")
+        one.set(element, [5.0] * one.size(element))
+        assert one.get("y") == before
+
+
 def test_what_fmi_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DiagramError, match=r"weights\.seed: FMI 2\.0 has no uint32.*--fmi 3\.0"):
         make_fmu(weighed(), DT, version="2.0")

@@ -48,15 +48,13 @@ def model_description(
         (_add_variable if newer else _add_scalar)(listed, v, reference)
     structure = _add(root, "ModelStructure")
     outputs = [k for k, v in enumerate(variables) if v.causality == "output"]
-    if newer:
-        for name in ("Output", "InitialUnknown"):
-            for k in outputs:
-                _add(structure, name, {"valueReference": str(k)})
-    elif outputs:
-        for name in ("Outputs", "InitialUnknowns"):
-            listed = _add(structure, name)
-            for k in outputs:
-                _add(listed, "Unknown", {"index": str(k + 1)})
+    # After a step no output depends on an input that is set then; before the first one an output may.
+    independent = {"dependencies": "", "dependenciesKind": ""}
+    for name, known in (("Output", independent), ("InitialUnknown", {})) if outputs else ():
+        listed = structure if newer else _add(structure, f"{name}s")
+        for k in outputs:
+            place = {"valueReference": str(k)} if newer else {"index": str(k + 1)}
+            _add(listed, name if newer else "Unknown", place | known)
     return _bytes(root)
 
 
