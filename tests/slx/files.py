@@ -196,7 +196,13 @@ def system(blocks: Blocks, lines: Lines, prefix: str = "") -> str:
 
     body = ""
     for kind, name, values, *inner in blocks:
-        given = "".join(f'<P Name="{key}">{escape(value)}</P>' for key, value in values.items())
+        given = "".join(
+            f'<P Name="{key}">{escape(value)}</P>' for key, value in values.items() if not key.startswith("Interface")
+        )
+        interface = {key[9:]: value for key, value in values.items() if key.startswith("Interface")}
+        if interface:
+            entries = "".join(f'<P Name="{key}">{escape(value)}</P>' for key, value in interface.items())
+            given += f'<List ListType="InterfaceData">{entries}</List>'
         within = system(*inner[0], prefix=f"{ids[name]}_") if inner else ""
         body += f'<Block BlockType="{kind}" Name="{name}" SID="{ids[name]}">{given}{within}</Block>'
     body += "".join(f'<Line><P Name="Src">{pin(a, "out")}</P><P Name="Dst">{pin(b, "in")}</P></Line>' for a, b in lines)

@@ -306,3 +306,45 @@ def test_a_model_block_is_the_model_that_it_refers_to(tmp_path: Path) -> None:
     assert np.array_equal(flown(found, u=DRAWN[0])["y"], np.r_[0.0, 6.0 * DRAWN[0][:-1]])
     (refused,) = import_system(read, dt=DT).refused
     assert (refused.path, refused.why) == ("model", "the model inner is not found: name its folder with --path")
+
+
+def element(number: int, port: str, path: str) -> dict[str, str]:
+    values = {"PortNumber": str(number), "PortName": port, "Element": path, "IsComposite": "1"}
+    return {"Port": str(number), **{f"Interface{key}": value for key, value in values.items()}}
+
+
+def test_ports_of_bus_elements_are_one_port(tmp_path: Path) -> None:
+    gives: tuple[Blocks, Lines] = (
+        [
+            ("Inport", "u", {}),
+            ("Inport", "v", {"Port": "2"}),
+            ("Gain", "twice", {"Gain": "2"}),
+            ("Outport", "out p", element(1, "state", "rates.p")),
+            ("Outport", "out q", element(1, "state", "rates.q")),
+            ("Outport", "out v", element(1, "state", "v")),
+            ("Outport", "more", {"Port": "2"}),
+        ],
+        [("u", "twice"), ("twice", "out p"), ("u", "out q"), ("v", "out v"), ("v", "more")],
+    )
+    takes: tuple[Blocks, Lines] = (
+        [
+            ("Inport", "first", {}),
+            ("Inport", "in v", element(2, "state", "v")),
+            ("Inport", "in q", element(2, "state", "rates.q")),
+            ("Inport", "in p", element(2, "state", "rates.p")),
+            ("Sum", "sum", {"Inputs": "+--+", "Ports": "[4, 1]"}),
+            ("Outport", "out", {}),
+        ],
+        [("in v", "sum:1"), ("in q", "sum:2"), ("in p", "sum:3"), ("first", "sum:4"), ("sum", "out")],
+    )
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("Inport", "v", {"Port": "2", **REAL}),
+        ("SubSystem", "gives", {"Ports": "[2, 2]"}, gives),
+        ("SubSystem", "takes", {"Ports": "[2, 1]"}, takes),
+        ("Outport", "y", {}),
+    ]
+    lines = [("u", "gives:1"), ("v", "gives:2"), ("gives:1", "takes:2"), ("gives:2", "takes:1"), ("takes", "y")]
+    u, v = DRAWN[:2]
+    got = flown(imported(tmp_path, blocks, lines), u=u, v=v)
+    assert np.array_equal(got["y"], ((v - u) - 2.0 * u) + v)

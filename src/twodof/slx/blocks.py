@@ -321,7 +321,7 @@ RULES: dict[str, Rule] = {
 
 TAKES_BUSES = (
     *("BusAssignment", "BusCreator", "BusSelector", "Delay", "ManualSwitch", "Memory", "RateTransition"),
-    *("SignalSpecification", "Switch", "UnitDelay", "ZeroOrderHold", *DROPPED),
+    *("SignalConversion", "SignalSpecification", "Switch", "UnitDelay", "ZeroOrderHold", *DROPPED),
 )
 TAKES_SMALL = (
     *(*TAKES_BUSES, *ARITHMETIC_RULES, "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),

@@ -25,6 +25,7 @@ from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import Constant, Logic, Merge, RateTransition, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, INPUTS, KEEPS_TYPE, RULES, check_inputs
+from twodof.slx.bus_ports import with_bus_ports
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition, ControlEdge, conditions_of
 from twodof.slx.data_types import kind_of, sized
 from twodof.slx.dictionary import dictionary, enumerations
@@ -204,7 +205,7 @@ class _Import:
     ) -> None:
         if depth > 40:
             raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
-        system = System(dict(system.blocks), system.lines)
+        system = with_bus_ports(System(dict(system.blocks), system.lines))
         inside: list[tuple[str, str, System, SimulinkBlock]] = []
         for sid, block in system.blocks.items():
             at = f"{path}/{escaped(block.name)}".lstrip("/")
@@ -925,6 +926,7 @@ class _Import:
 
 def _with_ports(system: System) -> System:
     """Return a system whose From Workspace blocks are inputs and To Workspace blocks outputs, behind those it has."""
+    system = with_bus_ports(system)
     blocks = dict(system.blocks)
     for kind, port in (("FromWorkspace", "Inport"), ("ToWorkspace", "Outport")):
         number = sum(block.type == port for block in blocks.values())

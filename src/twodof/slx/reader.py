@@ -105,6 +105,9 @@ class PackageReader:
             "sid": element.get("SID") or f"name {element.get('Name')}",
             "values": _values(element),
         }
+        interface = next((one for one in element.iterfind("List") if one.get("ListType") == "InterfaceData"), None)
+        if interface is not None:
+            made["values"] |= {f"Interface{name}": text for name, text in _values(interface).items()}
         ports = _ports(element)
         if ports is not None:
             made["ports"] = ports
