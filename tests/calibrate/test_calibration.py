@@ -69,7 +69,7 @@ def test_the_shipped_set_is_a_minimum(flight_data: Path) -> None:
     best = shipped()
 
     def cost(u: dict[str, float]) -> float:
-        rig = ParameterSet(to_rig(u), TABLE).snapshot()
+        rig = ParameterSet(lab().snapshot() | to_rig(u), TABLE).snapshot()
         total = sum(PRIOR_WEIGHT**2 * ((u[q.name] - q.mean) / q.deviation) ** 2 for q in UNKNOWNS)
         for flight, data in logged.items():
             simulated = data.simulate(loop, rig)
@@ -144,6 +144,6 @@ def test_it_finds_the_shipped_set_again(flight_data: Path) -> None:
         if (f.name, channel) != ("free-response-impulse", "theta")
     ]
     assert len(counted) == 17
-    assert np.mean(counted) >= 85.3  # a point below what it is, 86.3
+    assert np.mean(counted) >= 86.3  # half a point below what it is, 86.8
     for fits in found.ceiling.values():
         assert 0.0 < fits["q"] < 100.0

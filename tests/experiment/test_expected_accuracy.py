@@ -15,6 +15,8 @@ from twodof.experiment.flight import Laboratory, flight_log
 from twodof.identify.experiments import cut
 from twodof.identify.identified_flight import identify_flight
 from twodof.identify.ready_made import structure_for
+from twodof.rig.parameters import lab
+from twodof.rig.steady_state import model_parameters
 
 pytestmark = pytest.mark.slow
 
@@ -107,14 +109,21 @@ def test_an_excitation_that_meets_a_stop_is_refused(still: Laboratory) -> None:
 
 @pytest.mark.long
 def test_a_flight_in_closed_loop_claims_what_was_planned() -> None:
-    """Within a third: a flight also shows how its controller answered the gusts."""
+    """A flight also shows how its controller answered the gusts.
+
+    Without the lines of the rotors: M moves them, and the fit takes them for louder noise where it does.
+    """
+    even = lab()
+    even.update({"gyro_line": 0.0})
+    known = {"mu": model_parameters(even)["mu"]}
     for name in ("attitude-steps", "attitude-prbs"):
-        rows = {row["name"]: row for row in expected_accuracy(name, Laboratory("lab", noise=0.0)).to_json()["unknowns"]}
+        planned = expected_accuracy(name, Laboratory(even, noise=0.0), known).to_json()["unknowns"]
+        rows = {row["name"]: row for row in planned}
         assert [one for one, row in rows.items() if row["wanted"]] == ["mu", "tau"]
-        flown = identify_flight(Laboratory("lab").fly(name).log).greybox
-        # With the lag held, tau was to be known 2.8 times as well as it is.
+        flown = identify_flight(Laboratory(even).fly(name).log).greybox
+        # Eight flights claim .93 to 1.19 of the plan. With the lag held tau would have .36 of its deviation.
         for unknown in ("mu", "tau"):
-            assert flown.sigma(unknown) == pytest.approx(rows[unknown]["sigma"], rel=0.34), unknown
+            assert flown.sigma(unknown) == pytest.approx(rows[unknown]["sigma"], rel=0.25), unknown
 
 
 def test_a_free_cart_is_planned_with_its_moment() -> None:

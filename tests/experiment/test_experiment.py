@@ -133,9 +133,9 @@ def test_a_wrong_noise_is_refused_with_the_rig(noise: float) -> None:
         Laboratory("lab", noise=noise)
 
 
-@pytest.mark.parametrize("seed", [43, 148])
+@pytest.mark.parametrize("seed", [224, 339])
 def test_a_stop_that_is_struck_between_two_samples_is_seen(seed: int) -> None:
-    # The gusts of these seeds swing the drone to its stop at 1.2 and 4.3 rad/s: no sample is nearer than .002 rad.
+    # The gusts of these seeds swing the drone to its stop at 1.6 and 3.6 rad/s: no sample is nearer than .0019 rad.
     laboratory, flown = Laboratory("lab"), experiment("doublet")
     plan = script(flown)
     theta = laboratory.signals(flown, plan, 0.0, seed)["true_theta"][plan.begin : plan.end]

@@ -136,6 +136,24 @@ def battery() -> Diagram:
     return d
 
 
+def test_the_battery_polarises_in_hover_and_recovers() -> None:
+    share, time, drop = 0.7, 7.0, 0.1 * 6.0
+    m = build(battery(), 0.04).machine()
+    changes = {"resistance": 0.1, "polarised_share": share, "polarised_time": time, "capacity": 1e9}
+    m.set_many({f"battery.{name}": value for name, value in changes.items()})
+    m.reset()
+    hover = 12.6 - m.run(501, {"load": 1.0})["voltage"]
+    rest = 12.6 - m.run(501, {"load": 0.0})["voltage"]
+    t = 0.04 * np.arange(501)
+    # The load is that of the sample before. In the first sample there is none yet, in the last one at rest it is 1.
+    assert hover[1:] == pytest.approx(drop * (1.0 - share * np.exp(-t[:-1] / time)), rel=1e-9)
+    polarised = 1.0 - np.exp(-20.04 / time)
+    # The huge pack loses 7e-11 V.
+    assert rest[1:] == pytest.approx(drop * share * polarised * np.exp(-t[:-1] / time), abs=1e-10)
+    # Thrust goes with the square of the voltage: the drone loses 8 % in 20 s, the discharge's 1 % among them.
+    assert 1.0 - ((12.6 - hover[-1]) / (12.6 - hover[1])) ** 2 == pytest.approx(0.065, abs=0.005)
+
+
 def test_the_battery_empties_at_its_current_and_sags() -> None:
     m = build(battery(), 0.04).machine()
     seconds, current, capacity = 120.0, 6.0, 1.3

@@ -13,15 +13,17 @@ from twodof.rig.dynamics import Turbulence
 from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
 
 TS = 0.004
+LOADS = ("load", "load_fore", "load_aft")
 
 
 def sensors() -> Diagram:
     """The sensors on signals from outside, at 250 Hz."""
     d = Diagram("sensors", "sensors alone")
-    for name, unit in (("theta", "rad"), ("q", "rad/s"), ("v", "m/s"), ("x", "m"), ("load", "")):
+    for name, unit in (("theta", "rad"), ("q", "rad/s"), ("v", "m/s"), ("x", "m"), *((name, "") for name in LOADS)):
         d.input(name, unit=unit)
     d.add("noise", NoiseSource())
-    d.add("imu", Imu(), theta="theta", q="q", v="v", load="load", n_x="noise.n0", n_z="noise.n1", n_q="noise.n2")
+    loads = {name: name for name in LOADS}
+    d.add("imu", Imu(), theta="theta", q="q", v="v", **loads, n_x="noise.n0", n_z="noise.n1", n_q="noise.n2")
     d.add("range", RangeSensor(), x="x", n="noise.n3")
     d.add("gust", Turbulence(), load="load")
     for name in ("acc_x", "acc_z", "gyro_y"):
@@ -108,6 +110,25 @@ def test_vibration_is_a_band_and_has_no_constant_part(program: CompiledProgram) 
     assert f[np.argmax(np.convolve(spectrum, np.ones(400), "same"))] == pytest.approx(38.0, abs=4.0)
     low, peak = spectrum[(f > 0.1) & (f < 1.0)].mean(), spectrum[(f > 36) & (f < 40)].mean()
     assert low < 1e-2 * peak  # a velocity integrated from it must not walk away
+
+
+def test_a_rotor_is_a_line_where_the_samples_fold_its_speed(program: CompiledProgram) -> None:
+    line = {"imu.acc_x_line": 0.5, "imu.rotor_hz": 280.0, "imu.acc_x_idle": 0.0, "imu.acc_x_hover": 0.0}
+    n, f = 25_000, np.fft.rfftfreq(25_000, TS)
+    # The speed goes with the root of the thrust: 280 and 266 Hz, seen by 250 Hz as 30 and 16 Hz.
+    pairs = {"load_fore": 1.0, "load_aft": (266.0 / 280.0) ** 2}
+    y = machine(program, 1.0, **line).run(n, {"load": 1.0, **pairs})["acc_x"]
+    spectrum = np.abs(np.fft.rfft(y * np.hanning(n)))
+    fore, aft = f > 23.0, f < 23.0
+    assert f[fore][np.argmax(spectrum[fore])] == pytest.approx(30.0, abs=f[1])
+    assert f[aft][np.argmax(spectrum[aft])] == pytest.approx(16.0, abs=f[1])
+    # A sample is the mean of 4 ms, which leaves the slower rotor less.
+    passed = np.sinc(266.0 * TS) / np.sinc(280.0 * TS)
+    assert y.std() == pytest.approx(0.5 * np.sqrt(0.5 * (1.0 + (passed * pairs["load_aft"]) ** 2)), rel=0.01)
+    # Nothing turns at rest, and locked the drone shakes more.
+    assert np.all(machine(program, 1.0, **line).run(1000, {"load": 0.0})["acc_x"] == 0.0)
+    locked = machine(program, 1.0, **line, **{"imu.rings": True, "imu.ring_shake": 2.0})
+    assert locked.run(n, {"load": 1.0, **pairs})["acc_x"].std() == pytest.approx(2.0 * y.std(), rel=0.01)
 
 
 def test_the_gust_has_its_size_and_its_memory(program: CompiledProgram) -> None:

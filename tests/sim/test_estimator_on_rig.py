@@ -37,6 +37,7 @@ def test_the_error_on_the_rig_is_as_large_as_the_covariance_says() -> None:
     # What no covariance can know is left out: scales, the IMU's place, a stamp that hides the sample's age.
     honest = {"tof_stamp": lab().snapshot()["tof_age"], "acc_scale": 1.0, "gyro_scale": 1.0, "imu_below": 0.0}
     noise = {"gyro_idle": 0.0014, "acc_x_idle": 0.17, "acc_x_hover": 1.0, "vibration_hz": 38.0, "tof_noise": 0.004}
+    noise |= {"vibration_r2": 0.6, "acc_x_line": 0.0, "gyro_line": 0.0, "gyro_hover": 0.01}
     loop = ClosedLoop(
         conditions=honest | noise | {"noise": 1.0, "rings": False},
         tuning={f"estimator.filter.sigma_{name}": value for name, value in SIGMA.items()},

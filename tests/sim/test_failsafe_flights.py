@@ -244,7 +244,8 @@ def test_set_points_at_the_limits_drive_neither_cart_nor_pitch_into_a_stop(setpo
     farthest, fastest = np.abs(out["true_x"]).max(), np.abs(out["true_v"]).max()
     tell(f"{setpoints}: at most {farthest:.3f} m, {fastest:.2f} m/s, {np.abs(out['true_theta']).max():.2f} rad")
     assert farthest < 0.3999
-    assert np.abs(out["true_theta"]).max() < 0.8699
+    # At most .68 in 24 flights. Switched off at the rail's end it swings on, and meets a stop at up to 2.3 rad/s.
+    assert np.abs(out["true_theta"][~stands(out)]).max() < 0.72
     assert_no_chatter(out)
 
 

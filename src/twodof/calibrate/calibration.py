@@ -11,6 +11,7 @@ optimum with that flight.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -284,15 +285,16 @@ def _named(x: Array) -> dict[str, float]:
     return {u.name: float(value) for u, value in zip(UNKNOWNS, x, strict=True)}
 
 
+@cache
 def _untouched() -> dict[str, float]:
-    """Return the parameters of the shipped `lab` set that no flight's window shows: gusts."""
+    """Return the parameters of the shipped `lab` set that are not calibrated: gusts, vibration, battery."""
     lab = load_rig("lab")
     default = ParameterSet(table=TABLE)
     return {name: lab[name] for name in lab if name not in CALIBRATED and lab[name] != default[name]}
 
 
-def _whole(rig: Mapping[str, float]) -> dict[str, float]:
-    return ParameterSet(dict(rig), TABLE).snapshot()
+def _whole(rig: dict[str, float]) -> dict[str, float]:
+    return ParameterSet(rig | _untouched(), TABLE).snapshot()
 
 
 def _solve(

@@ -44,7 +44,10 @@ _VIBRATION = 400
 
 
 def gyro_covariance(rig: Mapping[str, float], steps: int, dt: float, load: float = 1.0) -> Array:
-    """Return the autocovariance (steps,) of the gyro: white noise, rounding, and band-limited vibration."""
+    """Return the autocovariance (steps,) of the gyro: white noise, rounding, and vibration.
+
+    The rotors' lines count as white noise. They are narrow in hover, but move with M, and an excitation moves it.
+    """
     radius, turn = rig["vibration_r2"], (1.0 + rig["vibration_r2"]) * np.cos(2.0 * np.pi * rig["vibration_hz"] * dt)
     pulse = np.sqrt(0.5 * (1.0 - radius))
     driven = {0: pulse, 2: -pulse}
@@ -55,7 +58,7 @@ def gyro_covariance(rig: Mapping[str, float], steps: int, dt: float, load: float
     covariance = np.array([band[: band.size - k] @ band[k:] for k in range(min(steps, _VIBRATION))])
     full = np.zeros(steps)
     full[: covariance.size] = (load * rig["gyro_hover"]) ** 2 * covariance
-    full[0] += rig["gyro_idle"] ** 2 + rig["gyro_step"] ** 2 / 12.0
+    full[0] += rig["gyro_idle"] ** 2 + rig["gyro_step"] ** 2 / 12.0 + (load * rig["gyro_line"]) ** 2
     return full
 
 

@@ -35,8 +35,8 @@ the largest is about 25."""
 def supply_of(log: FlightLog, start: float, stop: float) -> tuple[float, float] | None:
     """Return the thrust over that at `REFERENCE`, and its standard deviation, from `start` to `stop` [s].
 
-    It is None without the channels acc, gyr, T and M, without a clear line, and where the log has the voltage: then the
-    supply is known, or is that of a virtual drone, whose vibration does not follow its rotors.
+    It is None without the channels acc, gyr, T and M, without a clear line, and where the log has the voltage, which
+    tells the supply better.
     """
     if "voltage" in log or any(name not in log for name in ("acc", "gyr", "T", "M")):
         return None

@@ -16,7 +16,7 @@ from twodof.signals import HOVER, Q_AGE
 
 CONDITIONS = frozenset(
     (
-        *(f"{name}_start" for name in ("theta", "q", "x", "v", "wake", "charge")),
+        *(f"{name}_start" for name in ("theta", "q", "x", "v", "wake", "charge", "polarised")),
         *(f"{name}_bias" for name in ("acc", "gyro", "tof")),
         *("rings", "ring_place", "rail_force", "trim", "tof_phase", "noise", "seed"),
     )
@@ -78,15 +78,37 @@ CALIBRATED: Mapping[str, str] = MappingProxyType(
 )
 """The parameters that the calibration finds, and how; the file lab.json keeps them."""
 
+_SPECTRUM = "logs, level holds: tools/hover_spectra.py"
+
+_LAB: Mapping[str, str] = MappingProxyType(
+    {
+        **dict.fromkeys(("acc_x_hover", "acc_z_hover", "gyro_hover"), _SPECTRUM + ", between the rotors' lines"),
+        **dict.fromkeys(
+            ("acc_x_idle", "acc_z_idle"), _SPECTRUM + ", below 10 Hz. At rest .03, and lines of idling rotors"
+        ),
+        **dict.fromkeys(("vibration_hz", "vibration_r2"), _SPECTRUM + ": even from 40 to 100 Hz"),
+        **dict.fromkeys(("acc_x_line", "acc_z_line", "gyro_line"), _SPECTRUM + ", 15 to 60 Hz, cart free"),
+        "ring_shake": _SPECTRUM + ", cart locked against free: 1.0 to .5 (x), 1.6 to .7 m/s2 (z)",
+        **dict.fromkeys(
+            ("resistance", "polarised_share", "polarised_time"),
+            "logs: the rotors lose 9 to 12 of 285 turns a second in hover, in 5 to 11 s; by the battery: a guess",
+        ),
+    }
+)
+"""Origins of numbers that only `lab` has, besides `CALIBRATED`."""
+
 _SHARED = MappingProxyType(
     {
         **dict.fromkeys(("mass_drone", "mass_cart"), "weighed"),
-        **dict.fromkeys(("rail_bounce", "ring_play", "resistance"), "assumed"),
+        **dict.fromkeys(("rail_bounce", "ring_play"), "assumed"),
         **dict.fromkeys(("pitch_stop", "pitch_bounce"), "logs: doublet-0.03 after 245.8 s"),
         **dict.fromkeys(("voltage_full", "voltage_empty"), "three lithium-polymer cells"),
         **dict.fromkeys(("acc_x_idle", "acc_z_idle", "gyro_idle", "tof_noise"), "logs, motors idle"),
         **dict.fromkeys(("acc_x_hover", "acc_z_hover"), "logs, level holds"),
         **dict.fromkeys(("vibration_hz", "vibration_r2"), "logs, level holds: spectrum of acc"),
+        **dict.fromkeys(("acc_x_line", "acc_z_line", "gyro_line", "ring_shake"), "no lines"),
+        "rotor_hz": "logs: lines of the rotors in acc and gyr, 275 to 290 by flight and time",
+        **dict.fromkeys(("polarised_share", "polarised_time"), "the paper's thrust is constant"),
         "arm": "assumed: only arm / inertia shows in a flight",
         "rail_stop": "paper section 2: stroke of about 80 cm",
         "capacity": "assumed: a three-cell pack of 1.3 A h",
@@ -132,7 +154,7 @@ def origins(name: str) -> Mapping[str, str]:
     """Return the origin of each number of the set `name`, "paper" or "lab". Raises ParameterError for another name."""
     if name not in NAMES:
         raise ParameterError(f"no rig called {name!r:.80}", "origins", f"use {' or '.join(NAMES)}")
-    own = {n: text for n, (_, text) in _paper().items()} if name == "paper" else dict(CALIBRATED)
+    own = {n: text for n, (_, text) in _paper().items()} if name == "paper" else {**_LAB, **CALIBRATED}
     return MappingProxyType({**_SHARED, **own})
 
 

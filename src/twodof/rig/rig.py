@@ -60,6 +60,8 @@ def rig() -> Diagram:
         held = d.add(f"{name}_held", ZeroOrderHold(), u=name)
         d.connect(held, f"rotors.{name}")
     d.connect("rotors.load", "battery.load", "turbulence.load", "imu.load")
+    for port in ("load_fore", "load_aft"):
+        d.connect(f"rotors.{port}", f"imu.{port}")
     for port in ("thrust", "moment", "running"):
         d.connect(f"rotors.{port}", f"dynamics.{port}")
     d.connect("dynamics.theta", "rotors.theta")

@@ -4,15 +4,20 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, sqrt, store, to_int32, to_real, where
 from twodof.blocks.block import Clock
+from twodof.blocks.elementary.functions import exp
 from twodof.signals import HOVER
+
+STILL = 1e-9
+"""Share of full speed below which a rotor is at rest, so that a spin-down does not end in subnormal numbers."""
 
 
 class BatteryPack(Block):
-    """A pack with an open-circuit voltage that falls linearly with the charge, and an inner resistance.
+    """A pack with an open-circuit voltage that falls linearly with the charge, an inner resistance and polarisation.
 
     The current is that of hover times load^(3/2), the power that momentum theory gives for the thrust. The load is that
-    of the sample before, as the thrust depends on the supply. `supply`, the factor on all thrusts, is the square of the
-    terminal voltage over that of a full pack in hover. So rig parameters identified with a full pack need no change.
+    of the sample before, as the thrust depends on the supply. The share `polarised_share` of the resistance has a
+    capacitor beside it (Thevenin's model), and its voltage follows the current with `polarised_time`. `supply`, the
+    factor on all thrusts, is the square of the terminal voltage over that of a full pack after a long hover.
     """
 
     crossing = True  # reads the load at each of its own, slower ticks
@@ -23,37 +28,47 @@ class BatteryPack(Block):
         Param("voltage_full", 12.6, unit="V", low=1.0, high=100.0, text="open circuit, full"),
         Param("voltage_empty", 10.5, unit="V", low=0.5, high=100.0, text="open circuit, empty"),
         Param("resistance", 0.03, unit="Ohm", low=0.0, high=10.0),
+        Param("polarised_share", 0.0, low=0.0, high=1.0, text="share of the resistance that follows the current late"),
+        Param("polarised_time", 7.0, unit="s", low=0.01, high=3600.0, text="time constant of that share"),
         Param("hover_current", 6.0, unit="A", low=0.0, high=200.0),
         Param("charge_start", 1.0, low=0.0, high=1.0),
+        Param("polarised_start", 0.0, low=0.0, high=2.0, text="share of the hover's polarisation at the start"),
     )
-    states = (State("charge", "charge_start"), State("load"))
-    derived = (Port("per_capacity", unit="1/(A*s)"), Port("per_reference", unit="1/V"))
+    states = (State("charge", "charge_start"), State("polarised", "polarised_start"), State("load"))
+    derived = (Port("per_capacity", unit="1/(A*s)"), Port("per_reference", unit="1/V"), Port("follow"))
 
     def prepare(self, p: Any, t: Clock) -> Any:
         reference = p.voltage_full - p.resistance * p.hover_current
-        return {"per_capacity": 1.0 / (3600.0 * p.capacity), "per_reference": 1.0 / maximum(reference, 0.1)}
+        return {
+            "per_capacity": 1.0 / (3600.0 * p.capacity),
+            "per_reference": 1.0 / maximum(reference, 0.1),
+            "follow": 1.0 - exp(-t.dt / p.polarised_time),
+        }
 
     def _current(self, x: Any, p: Any) -> Any:
         return p.hover_current * x.load * sqrt(x.load)
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         open_circuit = p.voltage_empty + (p.voltage_full - p.voltage_empty) * x.charge
-        voltage = maximum(0.0, open_circuit - p.resistance * self._current(x, p))
+        felt = (1.0 - p.polarised_share) * self._current(x, p) + p.polarised_share * (p.hover_current * x.polarised)
+        voltage = maximum(0.0, open_circuit - p.resistance * felt)
         share = voltage * p.per_reference
         return {"supply": share * share, "voltage": voltage, "charge": x.charge}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         used = self._current(x, p) * p.per_capacity * t.dt
-        return {"charge": minimum(1.0, maximum(0.0, x.charge - used)), "load": maximum(u.load, 0.0)}
+        polarised = x.polarised + p.follow * (x.load * sqrt(x.load) - x.polarised)
+        return {
+            "charge": minimum(1.0, maximum(0.0, x.charge - used)),
+            "polarised": where(polarised < STILL, 0.0, polarised),
+            "load": maximum(u.load, 0.0),
+        }
 
 
 PAIRS = ("fore", "aft")
 
 RING = 64
 """Length of the ring of past commands in ticks; the longest pure delay is two ticks less."""
-
-STILL = 1e-9
-"""Share of full speed below which a rotor is at rest, so that a spin-down does not end in subnormal numbers."""
 
 
 def lift(speed: Any, curve: Any) -> Any:
@@ -80,6 +95,7 @@ class Rotors(Block):
         Port("moment", unit="N*m"),
         Port("running"),
         Port("load"),
+        *(Port(f"load_{pair}") for pair in PAIRS),
     )
     params = (
         Param("pair_thrust", 4.0, unit="N", low=0.1, high=100.0, text="thrust of a pair at full command"),
@@ -138,6 +154,8 @@ class Rotors(Block):
             "moment": (p.arm * p.pair_thrust) * (up_fore - up_aft) + trim,
             "running": minimum((fore + aft) * (0.5 / HOVER), 1.0),
             "load": load,
+            "load_fore": 2.0 * up_fore * p.per_hover,
+            "load_aft": 2.0 * up_aft * p.per_hover,
         }
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:

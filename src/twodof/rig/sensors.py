@@ -2,11 +2,12 @@
 
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, int32, sqrt, store, to_int32, to_real, to_uint32, where
+from twodof.blocks import Block, Param, Port, State, int32, maximum, sqrt, store, to_int32, to_real, to_uint32, where
 from twodof.blocks.block import Clock
-from twodof.blocks.elementary.functions import cos, floor
+from twodof.blocks.elementary.functions import cos, floor, sin
 from twodof.blocks.noise import normal4
 from twodof.rig.dynamics import sine_cosine
+from twodof.rig.rotors import PAIRS, STILL
 from twodof.signals import GRAVITY, RAIL_CENTRE
 
 STREAM = 1
@@ -15,6 +16,8 @@ STREAM = 1
 RING = 32
 """Samples of x that the range sensor keeps: at 250 Hz its measurement may be up to 0.12 s old."""
 
+PI = 3.141592653589793
+
 TURN = 2.0**32
 """A full turn of the range sensor's phase accumulator."""
 
@@ -22,6 +25,11 @@ TURN = 2.0**32
 def rounded(value: Any, step: Any) -> Any:
     """Return `value` rounded to the nearest multiple of `step`, or unchanged if `step` is 0."""
     return where(step > 0.0, floor(value / where(step > 0.0, step, 1.0) + 0.5) * step, value)
+
+
+def passed(turns: Any) -> Any:
+    """Return the mean of a cosine over a sample that lasts `turns` >= 0 of its periods, over its middle value."""
+    return where(turns > 1e-3, sin(PI * turns) / (PI * maximum(turns, 1e-3)), 1.0)
 
 
 class NoiseSource(Block):
@@ -38,9 +46,11 @@ class Imu(Block):
     """Accelerometer and gyro, body axes forward-right-down, `imu_below` m under the bearing.
 
     The accelerometer gives the mean specific force since its last sample (it integrates, as flight controllers' IMUs
-    do), so it sees impacts. Noise is white at rest. Running rotors add vibration in proportion to the thrust: white
-    noise through a band-pass about `vibration_hz`, as the logged spectra show. White noise of that size would make the
-    velocity estimate walk ten times too far.
+    do), so it sees impacts. Noise is white at rest. Running rotors add vibration in proportion to the thrust. One part
+    is white noise through a band-pass about `vibration_hz`. The other part are the lines of rotors out of balance, one
+    of each pair: they turn `rotor_hz` times a second at the thrust of hover, with the root of the thrust, and the
+    samples fold that frequency: 280 Hz is seen at 30 Hz. A line moves as the command and the battery change the speed.
+    As each sample is a mean, a line near 250 Hz is hardly seen.
     """
 
     crossing = True
@@ -49,6 +59,8 @@ class Imu(Block):
         Port("q", unit="rad/s"),
         Port("v", unit="m/s"),
         Port("load"),
+        Port("load_fore"),
+        Port("load_aft"),
         Port("n_x"),
         Port("n_z"),
         Port("n_q"),
@@ -68,9 +80,15 @@ class Imu(Block):
         Param("gyro_hover", 0.01, unit="rad/s", low=0.0, high=10.0, text="vibration in hover"),
         Param("vibration_hz", 38.0, unit="Hz", low=1.0, high=120.0, text="centre of the vibration's band"),
         Param("vibration_r2", 0.6, low=0.0, high=0.999, text="squared pole radius of that band"),
+        Param("rotor_hz", 281.0, unit="Hz", low=1.0, high=1000.0, text="turns of a rotor in hover"),
+        Param("acc_x_line", 0.0, unit="m/s2", low=0.0, high=100.0, text="rotors out of balance, in hover"),
+        Param("acc_z_line", 0.0, unit="m/s2", low=0.0, high=100.0, text="rotors out of balance, in hover"),
+        Param("gyro_line", 0.0, unit="rad/s", low=0.0, high=10.0, text="rotors out of balance, in hover"),
+        Param("ring_shake", 1.0, low=0.0, high=100.0, text="factor on these lines of acc if the rings lock the cart"),
         Param("acc_step", 0.0024, unit="m/s2", low=0.0, high=1.0, text="quantisation"),
         Param("gyro_step", 0.00107, unit="rad/s", low=0.0, high=1.0, text="quantisation"),
         Param("noise", 1.0, low=0.0, high=100.0, text="gain of all noise; 0: none, and no quantisation"),
+        Param("rings", False, "bool", text="the rings lock the cart (1DoF)"),
         Param("q_start", 0.0, unit="rad/s", low=-100.0, high=100.0),
         Param("v_start", 0.0, unit="m/s", low=-10.0, high=10.0),
     )
@@ -78,6 +96,8 @@ class Imu(Block):
         Port("per_dt", unit="1/s"),
         Port("gain"),
         Port("turn"),
+        Port("shake"),
+        Port("per_passed"),
         Port("acc_grain", unit="m/s2"),
         Port("gyro_grain", unit="rad/s"),
     )
@@ -85,6 +105,7 @@ class Imu(Block):
         State("q", "q_start", unit="rad/s"),
         State("v", "v_start", unit="m/s"),
         *(State(f"{axis}_{part}") for axis in "xzq" for part in ("w1", "w2", "y1", "y2")),
+        *(State(f"turned_{pair}") for pair in PAIRS),
     )
 
     def prepare(self, p: Any, t: Clock) -> Any:
@@ -94,6 +115,8 @@ class Imu(Block):
             # Of variance 1: the band-pass (1 - A) / 2, A an all-pass, has (1 - r^2) / 2.
             "gain": sqrt(0.5 * (1.0 - p.vibration_r2)),
             "turn": (1.0 + p.vibration_r2) * cos(6.283185307179586 * p.vibration_hz * t.dt),
+            "per_passed": 1.0 / maximum(abs(passed(t.dt * p.rotor_hz)), 1e-3),
+            "shake": where(p.rings, p.ring_shake, 1.0),
             "acc_grain": where(quantised, p.acc_step, 0.0),
             "gyro_grain": where(quantised, p.gyro_step, 0.0),
         }
@@ -102,26 +125,41 @@ class Imu(Block):
         w2, y1, y2 = x[f"{axis}_w2"], x[f"{axis}_y1"], x[f"{axis}_y2"]
         return p.gain * (fresh - w2) + p.turn * y1 - p.vibration_r2 * y2
 
+    def _turns(self, pair: str, u: Any, p: Any, t: Clock) -> Any:
+        # Above 0, where the root has no slope; a rotor at rest shakes nothing.
+        return t.dt * p.rotor_hz * sqrt(maximum(u[f"load_{pair}"], STILL))
+
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         sine, cosine = sine_cosine(u.theta)
         along, turning = (u.v - x.v) * p.per_dt, (u.q - x.q) * p.per_dt
         acc_x = p.acc_scale * (cosine * along + GRAVITY * sine + p.imu_below * turning) + p.acc_bias
         acc_z = sine * along - GRAVITY * cosine - p.imu_below * (u.q * u.q)
 
-        def error(axis: str, fresh: Any, idle: Any, hover: Any) -> Any:
-            # The band-pass is a sample behind, so that its noise is independent of the white one.
-            return p.noise * (idle * fresh + hover * u.load * x[f"{axis}_y1"])
+        fore, aft = (2.0 * PI * x[f"turned_{pair}"] for pair in PAIRS)
+        # In hover each pair's line has the variance 1/2. Those of fore and aft pitch the drone in opposition.
+        shake_fore, shake_aft = (
+            u[f"load_{pair}"] * p.per_passed * passed(self._turns(pair, u, p, t)) for pair in PAIRS
+        )
+        along_x = shake_fore * cos(fore) + shake_aft * cos(aft)
+        up_fore, up_aft = shake_fore * sin(fore), shake_aft * sin(aft)
 
+        def error(axis: str, fresh: Any, idle: Any, hover: Any, line: Any) -> Any:
+            # The band-pass is a sample behind, so that its noise is independent of the white one.
+            return p.noise * (idle * fresh + hover * u.load * x[f"{axis}_y1"] + line)
+
+        line_x, line_z = p.acc_x_line * p.shake * along_x, p.acc_z_line * p.shake * (up_fore + up_aft)
+        error_q = error("q", u.n_q, p.gyro_idle, p.gyro_hover, p.gyro_line * (up_fore - up_aft))
         return {
-            "acc_x": rounded(acc_x + error("x", u.n_x, p.acc_x_idle, p.acc_x_hover), p.acc_grain),
-            "acc_z": rounded(acc_z + error("z", u.n_z, p.acc_z_idle, p.acc_z_hover), p.acc_grain),
-            "gyro_y": rounded(
-                p.gyro_scale * u.q + p.gyro_bias + error("q", u.n_q, p.gyro_idle, p.gyro_hover), p.gyro_grain
-            ),
+            "acc_x": rounded(acc_x + error("x", u.n_x, p.acc_x_idle, p.acc_x_hover, line_x), p.acc_grain),
+            "acc_z": rounded(acc_z + error("z", u.n_z, p.acc_z_idle, p.acc_z_hover, line_z), p.acc_grain),
+            "gyro_y": rounded(p.gyro_scale * u.q + p.gyro_bias + error_q, p.gyro_grain),
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         new = {"q": u.q, "v": u.v}
+        for pair in PAIRS:
+            turned = x[f"turned_{pair}"] + self._turns(pair, u, p, t)
+            new[f"turned_{pair}"] = turned - floor(turned)
         for axis, fresh in (("x", u.n_x), ("z", u.n_z), ("q", u.n_q)):
             new[f"{axis}_w1"], new[f"{axis}_w2"] = fresh, x[f"{axis}_w1"]
             new[f"{axis}_y1"], new[f"{axis}_y2"] = self._vibration(axis, fresh, x, p), x[f"{axis}_y1"]

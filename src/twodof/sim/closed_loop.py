@@ -41,8 +41,9 @@ class InitialState:
 
     `estimates` ("theta", "x", "v") are by default the true values. `commands` are (M, T) of the control steps before
     the start, the latest last, which fill the rotors and the delay line. Without any the rotors are at rest, or with
-    `hover` they run at T = .4 and no integral is in reset. `wake` is the rig's `wake_start`, by default 1 with running
-    rotors. `states` overwrites single states by path, such as "flight.cascade.rate.sum".
+    `hover` they run at T = .4 and no integral is in reset. `wake` and `polarised` are the rig's `wake_start` and
+    `polarised_start`, by default 1 with running rotors. `states` overwrites single states by path, such as
+    "flight.cascade.rate.sum".
     """
 
     theta: float = 0.0
@@ -53,6 +54,7 @@ class InitialState:
     commands: tuple[tuple[float, float], ...] = ()
     hover: bool = False
     wake: float | None = None
+    polarised: float | None = None
     states: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -72,13 +74,14 @@ class InitialState:
 
     def rig_parameters(self) -> dict[str, float]:
         """Return the parameters of the rig to set before its reset, by name."""
-        wake = self.wake if self.wake is not None else float(self.running)
+        running = float(self.running)
         return {
             "theta_start": self.theta,
             "q_start": self.q,
             "x_start": self.x,
             "v_start": self.v,
-            "wake_start": wake,
+            "wake_start": running if self.wake is None else self.wake,
+            "polarised_start": running if self.polarised is None else self.polarised,
         }
 
     def rig_states(self, delay: float, lag: float) -> dict[str, Any]:

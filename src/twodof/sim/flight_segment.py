@@ -120,7 +120,8 @@ class FlightSegment:
     are from before the window too: `balance` is the mean pitch [rad], speed [m/s] and acceleration [m/s2] over all time
     with thrust.
     `commands` are (M, T) of the `HISTORY` steps before, `states` the controllers' states at the first step. `spun_up`
-    [s] is the time since the rotors started, `tof_elapsed` [s] that since the last range sample.
+    [s] is the time since the rotors started, `tof_elapsed` [s] that since the last range sample. `runs` (from, to) [s]
+    are the times with thrust before the first step, counted back from it.
     """
 
     time: Floats
@@ -136,6 +137,7 @@ class FlightSegment:
     velocity_bias: float
     spun_up: float
     tof_elapsed: float
+    runs: tuple[tuple[float, float], ...]
     window: tuple[float, float]
 
     @property
@@ -227,6 +229,7 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
         velocity_bias=_velocity_bias(log, begin) if rails else 0.0,
         spun_up=begin - armed_at if armed_at is not None else 0.0,
         tof_elapsed=float(begin - earlier[-1]) if earlier.size else 0.0,
+        runs=tuple((begin - a, max(0.0, begin - b)) for a, b in log.armed() if a < begin),
         window=(t0, t1),
     )
 

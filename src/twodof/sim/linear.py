@@ -110,6 +110,7 @@ def linear_rig(values: Mapping[str, float]) -> LinearModel:
 def _linear_rig(values: tuple[tuple[str, float], ...]) -> LinearModel:
     at: dict[str, Any] = dict(values) | dict.fromkeys(_STILL, 0.0)
     at |= {f"rotors.{pair}_ring": [HOVER] * RING for pair in ("fore", "aft")} | {"rotors.wake": 1.0}
+    at |= {"battery.load": 1.0, "battery.polarised": 1.0}  # a pack at rest would give more thrust
     at |= {f"rotors.{pair}": HOVER for pair in ("fore", "aft")} | {"fore": HOVER, "aft": HOVER}
     moved = linearize(rig(), BASE_DT, at, ["fore", "aft", *_AIR], TRUTH)
     at = {f"rig.{name}": value for name, value in at.items() if name not in ("fore", "aft")}
@@ -117,8 +118,9 @@ def _linear_rig(values: tuple[tuple[str, float], ...]) -> LinearModel:
     at |= _filter_at_rest(float(dict(values)["tof_rate"]))
     outputs = ["estimator.filter.q", "previous.theta", "estimator.filter.v", "estimator.filter.x"]
     truth = [f"rig.dynamics.{name}" for name in TRUTH]
-    # The load matters to the noise only.
-    seen = linearize(_rig_and_estimator(), BASE_DT, at, [*truth, "rig.rotors.load"], [*outputs, *IMU])
+    # The loads matter to the noise only.
+    loads = [f"rig.rotors.{name}" for name in ("load", "load_fore", "load_aft")]
+    seen = linearize(_rig_and_estimator(), BASE_DT, at, [*truth, *loads], [*outputs, *IMU])
     return _published(_joined(moved, seen))
 
 

@@ -1,7 +1,7 @@
 """Resimulation: a logged flight is simulated again, without noise and in closed loop, and compared with the log."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -210,6 +210,7 @@ class LoggedFlight:
                 estimates={name: start[name] for name in ("theta", "x", "v")},
                 commands=flight.commands,
                 wake=1.0 - float(np.exp(-flight.spun_up / rig["wake_lag"])),
+                polarised=_polarised(flight.runs, rig["polarised_time"]),
                 states={
                     "flight.previous.theta": start["theta_previous"],
                     **{f"flight.cascade.{path}": value for path, value in flight.states.items()},
@@ -243,6 +244,11 @@ class LoggedFlight:
         simulated = self.simulate(loop, rig, conditions)
         fit = {name: fit_percent(self.logged[name], values) for name, values in simulated.items()}
         return ResimulationFit(fit, self.time, self.logged, simulated, (self.flown.window,), self.flown)
+
+
+def _polarised(runs: Sequence[tuple[float, float]], time: float) -> float:
+    """Return the share of a hover's polarisation that stands after hovers in `runs` (from, to) [s] ago."""
+    return float(sum(np.exp(-to / time) - np.exp(-begun / time) for begun, to in runs))
 
 
 def resimulate(

@@ -93,7 +93,7 @@ def planned(machines: Mapping[str, CharacterisedMachine]) -> ReportTable:
             structure,
             {"M": doublet.inputs["M"]},
             doublet.dt,
-            {"q": rig["gyro_hover"]},
+            {"q": float(np.hypot(rig["gyro_hover"], rig["gyro_line"]))},
             values={key: machine.truth[key] for key in ("w_n", "xi", "mu")}
             | {"lag": lag, "dead_time": machine.truth["tau"] - lag},
             estimate=FORCED,

@@ -106,7 +106,7 @@ class RailFamily:
         if gust > 0.0:
             rig["gust"], rig["gust_time"] = gust * rig["inertia"], self.pitch.gust_time
         if self.pitch.q_noise > 0.0:
-            rig["gyro_hover"] = self.pitch.q_noise
+            rig["gyro_hover"], rig["gyro_line"] = self.pitch.q_noise, 0.0
         if self.pitch.q_band[1] > 0.0:
             rig["vibration_hz"], rig["vibration_r2"] = self.pitch.q_band
         return rig
