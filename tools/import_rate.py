@@ -1,10 +1,11 @@
 """How many public Simulink models `twodof slx import` takes: imported, compiled and run for 1,000 steps.
 
 `python -m tools.import_rate REPOSITORY...` takes folders with models, one a repository, and looks for libraries in all
-folders of the repository. Names that no callback of a model gives are looked for in nothing: they are 1, as most
-repositories set them by hand. A model with the same bytes counts once, a library not at all. A part is missing where a
-library, a model or a block of another vendor is not in the repository: its rate is shown apart. `--why` counts the
-reasons of refusals, in models without missing parts, and how often one is a model's only one.
+folders of the repository. Names that no callback of a model gives are looked for in the repository's scripts, those of
+the model's folder first; what none gives is 1, and is counted. A model with the same bytes counts once, a library not
+at all. A part is missing where a library, a model or a block of another vendor is not in the repository: the rate
+without such models is shown apart. `--why` counts the reasons of refusals, in models without missing parts, and how
+often one is a model's only one.
 """
 
 import argparse
@@ -14,6 +15,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from twodof.compile import build
 from twodof.errors import DiagramError, TwodofError
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
+from twodof.slx.matlab import assigned_names, read_workspace
 from twodof.slx.matlab_values import Value
 from twodof.slx.model import Model, read_model
 
@@ -39,6 +42,8 @@ class Tried:
     path: Path
     chart: bool = False
     blocks: int = 0
+    invented: int = 0
+    """How many names have no value in the repository."""
     reasons: dict[str, str] = field(default_factory=dict)
     """The first block of each reason."""
 
@@ -57,9 +62,14 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     if model.kind != "model":
         return None
     found = Tried(path, bool(model.charts), sum(1 for _ in model.blocks()))
-    names: dict[str, Value] = {name: np.array([[1.0]]) for name in inspect(model, folders).names}
+    folders = [path.parent, *folders]
+    wanted = set(inspect(model, folders).names)
+    names = _workspace(wanted, folders)
+    missing = wanted - names.keys()
+    found.invented = len(missing)
+    names |= {name: np.array([[1.0]]) for name in missing}
     try:
-        imported = _imported(model, names, [path.parent, *folders])
+        imported = _imported(model, names, folders)
         if imported.diagram is None and not imported.refused:
             raise TwodofError("nothing is refused, and there is no diagram", str(path), "mend the importer")
         for line in imported.refused:
@@ -72,6 +82,21 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     except Exception as reason:  # noqa: BLE001  a fault of the importer counts as a refusal, and is shown
         found.reasons[f"FAULT {type(reason).__name__}: {reason}"[:150]] = ""
     return found
+
+
+def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
+    """Return what the scripts of these folders give the names `wanted`; a name keeps its first value."""
+    values: dict[str, Value] = {}
+    for folder in dict.fromkeys(folders):
+        for file in sorted(folder.glob("*.m")):
+            text = file.read_text(errors="replace")
+            if text.lstrip().startswith(("function", "classdef")) or not assigned_names(text) & wanted - values.keys():
+                continue
+            found: dict[str, Value] = {}
+            with suppress(TwodofError):
+                read_workspace(file, found)
+            values = {name: value for name, value in found.items() if name in wanted} | values
+    return values
 
 
 def _imported(model: Model, names: dict[str, Value], folders: list[Path]) -> Imported:
@@ -126,7 +151,8 @@ def main() -> None:
             say(f"{repository.name}, {commit or '-'}: {_rates(found)}")
             for one in found if asked.list else ():
                 reasons = "; ".join(f"{why[:90]} ({at})" for why, at in list(one.reasons.items())[:8])
-                say(f"  {one.path.relative_to(repository)}: {reasons or 'runs'}")
+                invented = f" ({one.invented} names invented)" if one.invented else ""
+                say(f"  {one.path.relative_to(repository)}{invented}: {reasons or 'runs'}")
     say(f"all: {_rates(total)}")
     if asked.why:
         shorts = [{_short(why) for why in one.reasons} for one in total if not one.missing]

@@ -460,3 +460,20 @@ def test_an_algebraic_loop_is_named(tmp_path: Path) -> None:
     assert found.diagram is not None
     with pytest.raises(DiagramError, match=r"algebraic loop a.y <- b.y <- a.y"):
         build(found.diagram, dt=found.dt)
+
+
+def test_what_hangs_on_a_refused_block_is_not_reached(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("S-Function", "own", {}),
+        ("Demux", "parts", {"Outputs": "2"}),
+        ("Gain", "second", {"Gain": "2"}),
+        ("Outport", "y", {}),
+        ("Gain", "beside", {"Gain": "2"}),
+        ("Outport", "z", {"Port": "2"}),
+    ]
+    lines = [("u", "own"), ("own", "parts"), ("parts:2", "second"), ("second", "y"), ("u", "beside"), ("beside", "z")]
+    found = import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT)
+    assert found.diagram is None
+    stood = {line.path: line.status for line in found.report}
+    assert stood == {"own": "refused", "parts": "not reached", "second": "not reached"}

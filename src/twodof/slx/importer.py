@@ -53,7 +53,7 @@ class ReportLine:
     path: str
     kind: str
     status: str
-    """`imported`, `approximated`, `dropped` or `refused`."""
+    """`imported`, `approximated`, `dropped`, `refused`, or `not reached`: it hangs on what is refused."""
     why: str = ""
 
 
@@ -168,7 +168,7 @@ class _Import:
         diagram = None if any(line.status == "refused" for line in self.report) else self._diagram(self.path)
         if any(line.status == "refused" for line in self.report):  # what only the connections show
             diagram = None
-        order = {"refused": 0, "approximated": 1, "dropped": 2, "imported": 3}
+        order = {"refused": 0, "not reached": 1, "approximated": 2, "dropped": 3, "imported": 4}
         self.report.sort(key=lambda line: order[line.status])
         return Imported(diagram, self.dt, self.report, self.notes)
 
@@ -556,6 +556,11 @@ class _Import:
         for key, origins in waiting.items():
             for origin in origins:
                 behind.setdefault(origin, []).append(key)
+        outputs: dict[tuple[str, str], list[Output]] = {}
+        for origin in behind:
+            outputs.setdefault(origin[:2], []).append(origin)
+        reached = self.signals.keys() | {origin for origin in behind if origin[:2] in waiting}
+        self._leave([origin for origin in behind if origin not in reached], waiting, behind, outputs)
         ready = deque(key for key, origins in waiting.items() if not origins - self.signals.keys())
         broken: dict[tuple[str, str], Signal] = {}
         wrong: dict[tuple[str, str], Signal] = {}
@@ -572,6 +577,8 @@ class _Import:
                     continue
                 self._translate(key)
                 made = self.made[key].outputs
+                left = [one for one in outputs.get(key, []) if one not in self.signals]
+                self._leave(left, waiting, behind, outputs)
                 if key in broken and made and not made[0].like(broken[key]):
                     wrong[key] = made[0]
                 follow(key, len(made))
@@ -587,6 +594,20 @@ class _Import:
             loop = next((key for key in waiting if self.blocks[key].kind not in RULES), None)
             ready += [loop] if loop is not None else list(waiting)[:1]
         return wrong
+
+    def _leave(
+        self,
+        left: list[Output],
+        waiting: dict[tuple[str, str], set[Output]],
+        behind: Mapping[Output, list[tuple[str, str]]],
+        outputs: Mapping[tuple[str, str], list[Output]],
+    ) -> None:
+        """Leave out, as not reached, what hangs on outputs `left` without a type by a block that is refused."""
+        while left:
+            for key in behind.get(left.pop(), []):
+                if waiting.pop(key, None) is not None:
+                    self._line(*key, "not reached", "an input hangs on a block that is refused")
+                    left += outputs.get(key, [])
 
     def _guess(
         self,
