@@ -68,9 +68,9 @@ def test_it_opens_from_its_folder_and_flies(link: str, open_page: OpenPage, size
     flown_until(page, 3.9 * FIRST_STEP_S)
     up = page.get_by_role("row", name=re.compile("θ 0.00 → 9.74 deg"))
     expect(up).to_have_count(2)
-    # Rise, overshoot, settling and peak M of the step that is over; what is right of them test_step_figures.py asks.
+    # Rise, overshoot, settling, peak and peak M of the step that is over; test_step_figures.py asks for the rest.
     expect(up.last).to_contain_text(
-        re.compile(r"0\.\d{3} s\s*\d+\.\d %\s*(0\.\d{3} s|not reached)(, mean of \d+)?\s*0\.\d+")
+        re.compile(r"0\.\d{3}\s*\d+\.\d\s*(0\.\d{3}|not reached)(, mean of \d+)?\s*\d+\.\d+\s*0\.\d+")
     )
     assert latest(page, "truth.theta") == pytest.approx(0.17, abs=0.02)
     assert [address for address in fetched if not address.startswith(("file:", "blob:", "data:"))] == []

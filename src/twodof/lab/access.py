@@ -167,6 +167,10 @@ class LabRoute(APIRoute):
         return checked
 
 
+RAW = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string"}}}}}
+"""`openapi_extra` of a route whose body is a file's bytes."""
+
+
 async def receive_file(request: Request, path: Path) -> None:
     """Write the request's body, whose length the route bounds, into a new file. Raises RecordingError."""
     try:

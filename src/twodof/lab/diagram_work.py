@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import zipfile
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,6 +32,12 @@ from twodof.lab.processes import Progress
 from twodof.signals import PERIOD
 from twodof.sim.linear import LOOPS, cascade_margins
 from twodof.sim.portable_loop import portable_loop
+from twodof.slx.importer import import_system
+from twodof.slx.inspection import SUFFIXES
+from twodof.slx.matlab import read_workspace
+from twodof.slx.matlab_values import Value
+from twodof.slx.model import read_model
+from twodof.slx.picture import sheet_svg
 
 
 def catalogue() -> dict[str, Any]:
@@ -125,6 +132,47 @@ def template(text: str) -> str:
 def compiled(text: str, rig: str) -> dict[str, Any]:
     """Return the diagram in its closed loop as WebAssembly, to be run in the reader's browser."""
     return portable_loop(from_json(text), rig=rig)
+
+
+MOST_PICTURE = 4 << 20
+"""Largest picture of a Simulink sheet [letters]."""
+MOST_ROWS = 2000
+"""Most subsystems, and most lines of the report of an import."""
+
+
+def simulink(folder: str, names: list[str], sizes: list[int], system: str) -> dict[str, Any]:
+    """Draw a system of the first model, list its subsystems, and translate the system.
+
+    The file "files" in `folder` has the contents of the files called `names`, one after the other: the model, its
+    libraries, and scripts and .mat files with the names that it takes. Raises DiagramError.
+    """
+    place, known, notes = Path(folder), dict[str, Value](), list[str]()
+    with (place / "files").open("rb") as stream:
+        for name, size in zip(names, sizes, strict=True):
+            (place / name).write_bytes(stream.read(size))
+    for file in (place / name for name in names):
+        if file.suffix.lower() not in SUFFIXES:
+            notes += [f"{file.name}, line {one.line}: {one.why}" for one in read_workspace(file, known)]
+    model = read_model(place / names[0])
+    svg = sheet_svg(model, system)
+    if len(svg) > MOST_PICTURE:
+        raise DiagramError("the sheet is too large to be drawn", system or names[0], "import one of its subsystems")
+    try:
+        found = import_system(model, system, known, [place])
+    except DiagramError:  # neither the blocks nor the solver say the period
+        found = import_system(model, system, known, [place], PERIOD)
+        notes.append(f"the model names no period: that of the drone, {PERIOD:g} s, is taken")
+    return {
+        "name": model.name,
+        "release": model.release,
+        "systems": [[path, len(one.blocks)] for path, one in model.root.walk()][:MOST_ROWS],
+        "svg": svg,
+        "report": [asdict(line) for line in found.report[:MOST_ROWS]],
+        "counts": Counter(line.status for line in found.report),
+        "notes": [*notes, *found.notes][:MOST_ROWS],
+        "dt": found.dt,
+        "text": "" if found.diagram is None else to_json(found.diagram),
+    }
 
 
 _CLOSED = {"attitude_control": ("motors", "rate", "attitude"), "position_control": ("velocity", "position")}

@@ -159,6 +159,30 @@ export const startPx4 = (text: string) => send<Job<Px4Module>>("POST", "diagrams
 export const startRehearsal = (text: string, drone: number) =>
   send<Job<Rehearsal>>("POST", "diagrams/rehearsal", { text, drone });
 
+/** System of a Simulink model; `text` is its diagram, "" if something is refused. */
+export interface SimulinkSystem {
+  name: string;
+  release: string;
+  /** Paths with their numbers of blocks. */
+  systems: [path: string, blocks: number][];
+  svg: string;
+  report: { path: string; kind: string; status: string; why: string }[];
+  /** Lines of the report by status. */
+  counts: Record<string, number>;
+  notes: string[];
+  /** Period [s]. */
+  dt: number;
+  text: string;
+}
+
+/** Read a system of a model, the first of `files`; the others are its libraries and workspace. */
+export async function simulink(files: readonly File[], system: string, end: AbortSignal): Promise<SimulinkSystem> {
+  const query = new URLSearchParams({ system });
+  for (const { name, size } of files) [query.append("name", name), query.append("size", String(size))];
+  const path = `diagrams/simulink?${query}`;
+  return (await (await request("POST", path, new Blob([...files]), 60, end)).json()) as SimulinkSystem;
+}
+
 /** Flash a rehearsed diagram. The drone builds it in up to two minutes. */
 export const startFlash = (text: string, drone: number, rehearsal: string, force: boolean) =>
   send<Job<{ drone: number; template: string }>>("POST", "diagrams/flash", { text, drone, rehearsal, force });

@@ -1,4 +1,4 @@
-import { readRoute, type Route } from "./read_route";
+import { linkTo, readRoute, type Route } from "./read_route";
 
 export { linkTo } from "./read_route";
 
@@ -26,6 +26,13 @@ class CurrentRoute {
     } else {
       location.hash = link;
     }
+  }
+
+  /** Change words of the query in the address, without a step for the Back button; "" removes one. */
+  ask(words: Readonly<Record<string, string>>): void {
+    const query = { ...Object.fromEntries(this.now.query), ...words };
+    const kept = Object.fromEntries(Object.entries(query).filter(([, word]) => word !== ""));
+    this.go(linkTo(this.now.page, this.now.parts, kept), true);
   }
 }
 

@@ -1,3 +1,4 @@
+import type { LoggedStep } from "../api/logs";
 import { CONTROL_LOOPS, type ControlLoop } from "../loops";
 import type { History } from "./history";
 import { HELD, meanSettling, peakMoment, stepFigures, WINDOW } from "./step_metrics";
@@ -144,4 +145,15 @@ function settled(steps: readonly FlownStep[]): FlownStep[] {
     const { settling, averaged } = meanSettling(group.map((one) => one.response));
     return { ...step, figures: { ...step.figures, settling }, averaged };
   });
+}
+
+/** Return the figures of the latest `most` steps as those of a log, the newest first; one under way is `now`. */
+export function latestFigures(steps: readonly FlownStep[], most: number): (LoggedStep & { now: boolean })[] {
+  const known = (value: number): number | null => (Number.isFinite(value) ? value : null);
+  const latest = steps.slice(-most).reverse();
+  return latest.map(({ loop, time, before, after, averaged, over, peakMoment, figures }) => ({
+    ...{ loop: loop.name as LoggedStep["loop"], time, before, after, averaged, now: !over },
+    ...{ rise_time: known(figures.rise), overshoot: known(figures.overshoot), settling_time: known(figures.settling) },
+    ...{ peak: known(figures.peak), peak_moment: known(peakMoment) },
+  }));
 }

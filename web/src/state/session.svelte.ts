@@ -1,5 +1,4 @@
 import { route } from "../app/route.svelte";
-import { linkTo } from "../app/read_route";
 import { ApiError, labSession, TOKEN } from "../api/client";
 import { listDrones, listTexts, type DroneState, type DroneText } from "../api/drones";
 import { telemetry, type LabEvent, type Telemetry } from "../api/telemetry";
@@ -28,6 +27,8 @@ class Session {
   texts = $state.raw<readonly DroneText[]>([]);
   clockEvent = $state<ClockEvent | undefined>(undefined);
   everConnected = $state(false);
+  /** `tellOnce` waits for an answer. */
+  busy = $state(false);
   readonly numbers = $derived([...this.drones.keys()].sort((a, b) => a - b));
   /** Drone of the last link that named one; links to logs name none. */
   private named = $state<string | null>(route.now.query.get("drone"));
@@ -64,8 +65,7 @@ class Session {
 
   choose(drone: number): void {
     this.named = String(drone);
-    const query = Object.fromEntries(route.now.query);
-    route.go(linkTo(route.now.page, route.now.parts, { ...query, drone: String(drone) }), true);
+    route.ask({ drone: String(drone) });
   }
 
   /**
@@ -75,6 +75,14 @@ class Session {
   async tell(call: (drone: number) => Promise<unknown>): Promise<boolean> {
     const { number } = this;
     return number !== undefined && tried(() => call(number));
+  }
+
+  /** Tell the drone one thing at a time: presses meanwhile are ignored, as a disabled button would lose the focus. */
+  async tellOnce(call: (drone: number) => Promise<unknown>): Promise<void> {
+    if (this.busy) return;
+    this.busy = true;
+    await this.tell(call);
+    this.busy = false;
   }
 
   private take(event: LabEvent): void {

@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
-from fastapi import Path, Request
+from fastapi import Path, Query, Request
 from pydantic import Field
 
 from twodof.blocks.schema.json_form import MAX_BYTES, to_json
-from twodof.errors import Rejected
+from twodof.errors import DiagramError, Rejected
 from twodof.fleet.flash import FLYING
 from twodof.flight.starters import STARTERS, starter
 from twodof.gcs.async_drone import BUILDS
 from twodof.lab import diagram_work
-from twodof.lab.access import WATCHERS_MAY, lab_router, takes
+from twodof.lab.access import RAW, WATCHERS_MAY, lab_router, receive_file, takes
 from twodof.lab.answers import NotThere, RequestBody
 from twodof.lab.folders import FileName
 from twodof.lab.lab import CurrentLab, LabServer
@@ -97,6 +98,29 @@ async def compile_loop(lab: CurrentLab, request: Request, asked: LoopRequest) ->
     The work ends if the client goes away.
     """
     return await _work(lab, request, diagram_work.compiled, asked.text, asked.rig, seconds=COMPILE_S)
+
+
+_ModelFile = Annotated[str, Field(pattern=r"^\w[\w .()+-]{0,99}\.(?i:slx|mdl|m|mat)$")]
+MOST_MODEL = 16 << 20
+
+
+@router.post("/simulink", openapi_extra=RAW, dependencies=[WATCHERS_MAY, takes(MOST_MODEL)])
+async def simulink(
+    lab: CurrentLab,
+    request: Request,
+    name: Annotated[list[_ModelFile], Query(max_length=20, description="The model, its libraries and workspaces.")],
+    size: Annotated[list[int], Query(max_length=20, description="Bytes of each file.")],
+    system: Annotated[str, Query(max_length=2000, description="Path of a subsystem; left out: the model.")] = "",
+) -> dict[str, Any]:
+    """Draw a system of a Simulink model, list the model's systems, and translate the system; nothing is kept.
+
+    The body is the files, one after the other. `text` is the diagram, "" if the `report` has blocks that are refused.
+    """
+    if len(set(name)) < len(size) or len(name) != len(size) or min(size) < 0:
+        raise DiagramError("each file needs a name of its own and a size", "name, size", "give one of each for a file")
+    with lab.logs.scratch() as folder:
+        await receive_file(request, FilePath(folder) / "files")
+        return await _work(lab, request, diagram_work.simulink, folder, name, size, system, seconds=COMPILE_S)
 
 
 async def _work(

@@ -17,7 +17,7 @@ from starlette.background import BackgroundTask
 from twodof.errors import LogError, Rejected, TwodofError
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab import log_work
-from twodof.lab.access import lab_router, receive_file, takes
+from twodof.lab.access import RAW, lab_router, receive_file, takes
 from twodof.lab.answers import RequestBody, without_folders
 from twodof.lab.folders import KEPT_DAYS, MOST_NOTES, LogName
 from twodof.lab.lab import CurrentLab, LabServer
@@ -33,7 +33,6 @@ Moment = Annotated[FiniteFloat | None, Query(description="In the log's time [s];
 Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Points of each curve, about.")]
 Format = Literal["mcap", "mat", "parquet", "csv", "ulg"]
 FORMATS: tuple[str, ...] = get_args(Format)
-_RAW = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string"}}}}}
 
 
 class LogNotes(RequestBody):
@@ -196,7 +195,7 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
     return lab.logs.trash.put(lab.whole_log(name, ours=True))
 
 
-@router.post("/{name}", openapi_extra=_RAW, dependencies=[takes(MOST_UPLOADED)])
+@router.post("/{name}", openapi_extra=RAW, dependencies=[takes(MOST_UPLOADED)])
 async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any]:
     """Upload a log as the file's bytes. It is read first; a file of which nothing can be read is refused."""
     lab.logs.check_new(name)

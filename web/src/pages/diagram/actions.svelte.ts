@@ -8,24 +8,7 @@ import { editor } from "./editor.svelte";
 import { ALIGNMENTS, aligned, leastFor, type Alignment } from "./model/align";
 import { copyText, paste } from "./model/clipboard";
 import { EMPTY, findPart, inputId, outputId, partId, sourceOf, wireId, type Part, type Point } from "./model/diagram";
-import {
-  addInput,
-  addOutput,
-  addParam,
-  addPart,
-  addVariable,
-  connect,
-  disconnect,
-  flipParts,
-  freeBorder,
-  freeName,
-  moveParts,
-  moveThings,
-  newPart,
-  removeInput,
-  removeOutput,
-  removeParts,
-} from "./model/edits";
+import * as edits from "./model/edits";
 import { MACHINE, NEW_MACHINE, NEW_STATE, opens, STATE } from "./model/chart";
 import { commented, commentToggled, type Comment } from "./model/comment";
 import { grouped, ungrouped } from "./model/grouping";
@@ -36,7 +19,7 @@ import { folds } from "./folds.svelte";
 import type { Loose } from "./insert.svelte";
 import { scopes } from "./simulate/scopes.svelte";
 
-export type DialogName = "" | "open" | "connect" | "keys" | "flash" | "px4" | "save";
+export type DialogName = "" | "open" | "connect" | "keys" | "flash" | "px4" | "save" | "simulink";
 
 const MANY = 50; // blocks of a paste
 
@@ -121,9 +104,9 @@ class Acts {
     const [wire] = of("w:");
     const walked = ids.length === 1 && wire !== undefined && wiresAt(editor.here, this.hub).includes(wire);
     editor.apply(`delete ${what}`, (d) => {
-      let after = removeParts(disconnect(d, new Set(of("w:"))), new Set(of("p:")));
-      for (const name of of("i:")) after = removeInput(after, name);
-      for (const name of of("o:")) after = removeOutput(after, name);
+      let after = edits.removeParts(edits.disconnect(d, new Set(of("w:"))), new Set(of("p:")));
+      for (const name of of("i:")) after = edits.removeInput(after, name);
+      for (const name of of("o:")) after = edits.removeOutput(after, name);
       return after;
     });
     editor.select(walked ? [this.hub] : []); // one goes on from where the wire was found
@@ -170,7 +153,7 @@ class Acts {
     await tried(async () => {
       const places = await arranged(before, editor.shapes);
       if (editor.here !== before) return; // it was edited meanwhile
-      editor.apply("arrange", (d) => freeBorder(moveParts(d, places)));
+      editor.apply("arrange", (d) => edits.freeBorder(edits.moveParts(d, places)));
       this.shownWhole++;
     });
   }
@@ -205,7 +188,7 @@ class Acts {
     const names = editor.parts;
     if (names.length === 0) return editor.say("select a block to flip");
     editor.apply(`flip ${names.length === 1 ? names[0] : `${names.length} blocks`}`, (d) =>
-      flipParts(d, new Set(names)),
+      edits.flipParts(d, new Set(names)),
     );
   }
 
@@ -213,7 +196,7 @@ class Acts {
     const all = boxesOn(editor.here, editor.shapes);
     const chosen = [...editor.selected].flatMap((id) => (all.has(id) ? [[id, all.get(id)!] as const] : []));
     if (chosen.length < leastFor(how)) return editor.say("select more blocks");
-    editor.apply(`align: ${ALIGNMENTS[how].toLowerCase()}`, (d) => moveThings(d, aligned(new Map(chosen), how)));
+    editor.apply(`align: ${ALIGNMENTS[how].toLowerCase()}`, (d) => edits.moveThings(d, aligned(new Map(chosen), how)));
   }
 
   nextWire(): void {
@@ -236,7 +219,7 @@ class Acts {
       const [x, y] = at.get(id) ?? [0, 0];
       places.set(id, [x + dx, y + dy]);
     }
-    editor.apply("move", (d) => moveThings(d, places), `nudge ${chosen.join()}`);
+    editor.apply("move", (d) => edits.moveThings(d, places), `nudge ${chosen.join()}`);
     const first = places.get(chosen[0]!)!;
     editor.say(`${chosen[0]!.slice(2)} at ${first[0]}, ${first[1]}`);
   }
@@ -249,7 +232,7 @@ export function add(type: string, at?: Point): void {
   if (type === "input" || type === "output" || type === "parameter" || type === "variable") return addBorder(type);
   const part = made(type, at ?? act.middle());
   if (part === undefined) return;
-  editor.apply(`add ${part.name}`, (d) => addPart(d, part));
+  editor.apply(`add ${part.name}`, (d) => edits.addPart(d, part));
   editor.select([partId(part.name)]);
   act.wanted = partId(part.name);
 }
@@ -259,7 +242,7 @@ export function made(type: string, at: Point): Part | undefined {
   const entry = editor.catalogue?.blocks.find((one) => one.type === type);
   const own = { [MACHINE]: NEW_MACHINE, [STATE]: NEW_STATE }[type];
   if (type !== "diagram" && own === undefined && entry === undefined) return undefined;
-  const name = freeName(
+  const name = edits.freeName(
     editor.here,
     { diagram: "sub", [MACHINE]: "chart" }[type] ?? type.replace(/^models\./, "").toLowerCase(),
   );
@@ -268,7 +251,7 @@ export function made(type: string, at: Point): Part | undefined {
     (entry === undefined
       ? { ...EMPTY, name, inputs: [{ name: "u" }], outputs: [["y", "u"] as const] }
       : ({ is: "block", type, json: { type, config: entry.config } } as const));
-  return newPart(editor.here, name, item, free(at));
+  return edits.newPart(editor.here, name, item, free(at));
 }
 
 /** Add an input, output or parameter; an input is wired to the destination `to`, an output to the source `from`. */
@@ -280,13 +263,13 @@ export function addBorder(
 ): void {
   const stem = { input: "u", output: "y", parameter: "k", variable: "n" }[what];
   const outputs = new Set(editor.here.outputs.map(([name]) => name));
-  const name = freeName(editor.here, stem, what === "output" ? outputs : []);
+  const name = edits.freeName(editor.here, stem, what === "output" ? outputs : []);
   editor.apply(`${verb} ${what} ${name}`, (d) => {
-    if (what === "output") return addOutput(d, name, from);
-    if (what === "variable") return addVariable(d, name);
-    if (what === "parameter") return addParam(d, { name, value: real(1) });
-    const after = addInput(d, { name });
-    return to === null ? after : connect(after, name, to);
+    if (what === "output") return edits.addOutput(d, name, from);
+    if (what === "variable") return edits.addVariable(d, name);
+    if (what === "parameter") return edits.addParam(d, { name, value: real(1) });
+    const after = edits.addInput(d, { name });
+    return to === null ? after : edits.connect(after, name, to);
   });
   editor.select(editor.here.chart || what === "parameter" ? [] : [what === "input" ? inputId(name) : outputId(name)]);
 }

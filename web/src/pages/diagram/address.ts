@@ -1,7 +1,7 @@
 // What the page's address asks for: `#/diagram/NAME` a kept diagram, `?starter=NAME` one to begin with.
 import { linkTo, type Route } from "../../app/read_route";
 
-export type Asked = { readonly file: string } | { readonly starter: string };
+export type Asked = { readonly file: string } | { readonly starter: string } | { readonly text: string; name: string };
 
 /** Open diagram: its saved name or its starter; "" for the other. */
 export interface Opened {
@@ -18,7 +18,7 @@ export function askedBy(route: Route, { file, starter }: Opened): Asked | undefi
 }
 
 export function nameOf(asked: Asked): string {
-  return "file" in asked ? asked.file : asked.starter;
+  return "file" in asked ? asked.file : "starter" in asked ? asked.starter : asked.name;
 }
 
 /** Return the address of the open diagram; the rest of the query stays. */

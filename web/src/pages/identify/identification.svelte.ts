@@ -1,15 +1,6 @@
 import { messageOf } from "../../api/client";
-import {
-  fitLog,
-  flyExperiment,
-  identificationChoices,
-  planExperiment,
-  stopFlight,
-  type Choices,
-  type FitView,
-  type FlownExperiment,
-  type Plan,
-} from "../../api/identification";
+import type { Choices, FitView, FlownExperiment, Plan } from "../../api/identification";
+import { fitLog, flyExperiment, identificationChoices, planExperiment, stopFlight } from "../../api/identification";
 import type { Job } from "../../api/jobs";
 import type { Excitation } from "../../api/drones";
 import { BackgroundJob } from "../../state/background_job.svelte";

@@ -1,15 +1,7 @@
 // A log that is open: what it holds, the part of it that is looked at, and the time of its replay.
 
-import {
-  logFacts,
-  logReplay,
-  logSteps,
-  logView,
-  type Format,
-  type LoggedStep,
-  type LogFacts,
-  type LogView,
-} from "../../api/logs";
+import type { Format, LoggedStep, LogFacts, LogView } from "../../api/logs";
+import { logFacts, logReplay, logSteps, logView } from "../../api/logs";
 import { LineView } from "../../chart/views.svelte";
 import { isThinned, panels, spliced, type Panel } from "./curves";
 import { ownPlots } from "./own_plots.svelte";

@@ -1,18 +1,7 @@
 import { ApiError, messageOf } from "../../api/client";
 import { listModels, type ModelRow } from "../../api/models";
-import {
-  changeParameters,
-  chooseGuard,
-  guardOf,
-  listParameters,
-  predictStep,
-  previewTuning,
-  undoChange,
-  type Change,
-  type ParameterRow,
-  type PredictedStep,
-  type Preview,
-} from "../../api/tuning";
+import type { Change, ParameterRow, PredictedStep, Preview } from "../../api/tuning";
+import * as api from "../../api/tuning";
 import { telemetry } from "../../api/telemetry";
 import { toast, toastError, tried } from "../../state/toasts.svelte";
 import { LatestOnly } from "../fly/latest_only";
@@ -63,7 +52,7 @@ export class Tuning {
   );
   private readonly steps = new LatestOnly<Record<string, number>>(
     async (changes) => {
-      const found = await predictStep(this.drone, changes, this.goal);
+      const found = await api.predictStep(this.drone, changes, this.goal);
       if ("bands" in found && !this.judged) this.step = found;
     },
     () => {}, // the preview says what is wrong
@@ -92,7 +81,7 @@ export class Tuning {
 
   private async loadModels(): Promise<void> {
     await tried(async () => {
-      const [models, guard] = await Promise.all([listModels(), guardOf(this.drone)]);
+      const [models, guard] = await Promise.all([listModels(), api.guardOf(this.drone)]);
       this.models = models.filter((one) => one.pitch);
       this.model = guard.model;
     });
@@ -101,7 +90,7 @@ export class Tuning {
 
   async choose(model: string | null): Promise<void> {
     await tried(async () => {
-      this.model = (await chooseGuard(this.drone, model)).model;
+      this.model = (await api.chooseGuard(this.drone, model)).model;
       this.asked = "";
       this.askSoon();
     });
@@ -150,7 +139,7 @@ export class Tuning {
     this.sending = true;
     this.failure = "";
     try {
-      const { changed } = await changeParameters(this.drone, asRecord(this.changes), confirm);
+      const { changed } = await api.changeParameters(this.drone, asRecord(this.changes), confirm);
       // At once, and not with the list that comes next: until then an edit would be compared with what was before.
       const now = new Map(changed.map((one) => [one.name, one.value]));
       this.rows = this.rows.map((row) => ({ ...row, value: now.get(row.name) ?? row.value }));
@@ -171,7 +160,7 @@ export class Tuning {
     const { last } = this;
     if (last.length === 0) return;
     try {
-      await undoChange(this.drone);
+      await api.undoChange(this.drone);
       toast("The last change was undone", "good");
       await this.refresh();
       this.askSoon();
@@ -194,7 +183,7 @@ export class Tuning {
 
   private async refresh(): Promise<void> {
     try {
-      const [rows, guard] = await Promise.all([listParameters(this.drone), guardOf(this.drone)]);
+      const [rows, guard] = await Promise.all([api.listParameters(this.drone), api.guardOf(this.drone)]);
       this.rows = rows;
       this.last = guard.undo;
       this.failure = "";
@@ -208,7 +197,7 @@ export class Tuning {
     if (question === this.asked) return;
     this.previewing = true;
     try {
-      const found = await previewTuning(this.drone, changes, this.goal);
+      const found = await api.previewTuning(this.drone, changes, this.goal);
       this.preview = "bands" in found ? found : undefined;
       if (this.preview) LAST.set(`${this.drone} ${this.model}`, this.preview);
       this.step = undefined;

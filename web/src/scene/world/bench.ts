@@ -1,25 +1,8 @@
-import {
-  CanvasTexture,
-  CircleGeometry,
-  Group,
-  MeshBasicMaterial,
-  PlaneGeometry,
-  type BufferGeometry,
-  type Mesh,
-} from "three";
+import type { BufferGeometry, Mesh } from "three";
+import { CanvasTexture, CircleGeometry, Group, MeshBasicMaterial, PlaneGeometry } from "three";
 import { written } from "../../design/units";
-import {
-  BAR_HEIGHT,
-  BAR_RADIUS,
-  BAR_SIDE,
-  BEARING_HEIGHT,
-  CART_HALF,
-  DEPTH,
-  LENGTH,
-  PROFILE,
-  RAIL_STOP,
-  SUPPORT_SIDE,
-} from "../dimensions";
+import { BAR_HEIGHT, BAR_RADIUS, BAR_SIDE, BEARING_HEIGHT, CART_HALF } from "../dimensions";
+import { DEPTH, LENGTH, PROFILE, RAIL_STOP, SUPPORT_SIDE } from "../dimensions";
 import { Label } from "./labels";
 import type { Materials } from "./materials";
 import { box, rodX, rodZ, shaped } from "./shapes";

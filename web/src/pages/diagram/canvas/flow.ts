@@ -1,18 +1,8 @@
 // From a diagram to the nodes and edges that xyflow draws. What did not change is given back as the very same object, so
 // that only what changed is drawn anew: 300 blocks must not cost a tenth of a second.
 import { MarkerType, Position, type Edge, type Node, type NodeHandle } from "@xyflow/svelte";
-import {
-  declaredName,
-  inputId,
-  inputNames,
-  outputId,
-  partId,
-  wireId,
-  wiresOf,
-  type Diagram,
-  type Part,
-  type Point,
-} from "../model/diagram";
+import type { Diagram, Part, Point } from "../model/diagram";
+import { declaredName, inputId, inputNames, outputId, partId, wireId, wiresOf } from "../model/diagram";
 import { textOf, turnsOf } from "../model/chart";
 import { portOf, sourceEnd, tops, type Port, type Shape, type Shapes } from "../model/shapes";
 import { partPlaces, TERMINAL_HEIGHT, terminalPlaces, terminalWidth } from "./places";

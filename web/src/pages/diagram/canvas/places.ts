@@ -1,15 +1,6 @@
 // Where blocks, inputs and outputs stand on a sheet.
-import {
-  findPart,
-  inputId,
-  inputNames,
-  outputId,
-  partId,
-  placeOf,
-  pointOf,
-  type Diagram,
-  type Point,
-} from "../model/diagram";
+import type { Diagram, Point } from "../model/diagram";
+import { findPart, inputId, inputNames, outputId, partId, placeOf, pointOf } from "../model/diagram";
 import { moveThings } from "../model/edits";
 import type { Shapes } from "../model/shapes";
 import type { Box } from "./route";

@@ -1,14 +1,6 @@
 // Copy and paste. What is copied travels as JSON text, so it goes from one page to another through the system's clipboard.
-import {
-  declaredName,
-  partFrom,
-  partTo,
-  placeOf,
-  DiagramFault,
-  type Connection,
-  type Diagram,
-  type Part,
-} from "./diagram";
+import type { Connection, Diagram, Part } from "./diagram";
+import { declaredName, partFrom, partTo, placeOf, DiagramFault } from "./diagram";
 import { movePart, namer, taken } from "./edits";
 import { isList, isObject, readJson, writeJson } from "./json_text";
 

@@ -1,14 +1,6 @@
 // Commented blocks: a sub-diagram with the ports of a block stands in its place and holds it; nothing reads the block.
-import {
-  declaredName,
-  EMPTY,
-  findPart,
-  type Block,
-  type Connection,
-  type Diagram,
-  type Output,
-  type Part,
-} from "./diagram";
+import type { Block, Connection, Diagram, Output, Part } from "./diagram";
+import { declaredName, EMPTY, findPart } from "./diagram";
 import { declared, EditFault, newPart } from "./edits";
 import { Num, real, type Json, type JsonObject } from "./json_text";
 import { tops, type Port, type Shapes } from "./shapes";

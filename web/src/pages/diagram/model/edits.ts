@@ -1,13 +1,6 @@
 // Edits: each takes a diagram and gives the one after it. What they refuse is a sentence in an EditFault.
-import {
-  declaredName,
-  type Block,
-  type Connection,
-  type Diagram,
-  type Part,
-  type Point,
-  type Positions,
-} from "./diagram";
+import type { Block, Connection, Diagram, Part, Point, Positions } from "./diagram";
+import { declaredName } from "./diagram";
 import { Num, real, type Json, type JsonObject } from "./json_text";
 import { blockOf, chartOf, opens } from "./chart";
 import type { Parameter, Port } from "./shapes";

@@ -1,15 +1,6 @@
 // Blocks become a sub-diagram, and a sub-diagram its blocks.
-import {
-  declaredName,
-  EMPTY,
-  findPart,
-  placeOf,
-  type Connection,
-  type Diagram,
-  type Output,
-  type Part,
-  type Point,
-} from "./diagram";
+import type { Connection, Diagram, Output, Part, Point } from "./diagram";
+import { declaredName, EMPTY, findPart, placeOf } from "./diagram";
 import { declared, EditFault, freeName, movePart, namer, newPart, taken } from "./edits";
 import type { JsonObject } from "./json_text";
 import type { Shapes } from "./shapes";
