@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from playwright.sync_api import Page, expect
 from tests.flightlog.test_ulog_file import px4_log
 from tests.lab.served import COMMAND, WATCH, Served, served
 from tests.patience import patiently
-from tests.web.conftest import OpenPage, readable
+from tests.web.conftest import OpenPage, axe, readable
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
@@ -31,8 +32,12 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = data / "flights"
     folder.mkdir()
     laboratory = Laboratory("lab")
-    said = {"texts": [[14.0, "warning", "the pitch is near its stop"]], "changes": [[13.0, "RATE_P", 0.2]]}
-    for name, seed, told in ((FIRST, 1, said), (SECOND, 2, {})):
+    said = {
+        "texts": [[14.0, "warning", "the pitch is near its stop"]],
+        "changes": [[13.0, "RATE_P", 0.2]],
+        "parameters": {"RATE_P": 0.1},
+    }
+    for name, seed, told in ((FIRST, 1, said), (SECOND, 2, {"parameters": {"RATE_P": 0.1}})):
         log = laboratory.fly("attitude-steps", seed=seed).log
         write_log(FlightLog(log.channels, {**log.provenance, **told}), folder / name)
     (folder / "cut.mcap").write_bytes((folder / FIRST).read_bytes()[:3000])
@@ -106,11 +111,13 @@ def test_a_replay_shows_where_the_drone_was(logs_server: Served, flights: Path, 
 def test_compared_flights_show_their_steps(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     page = open_page(link(logs_server))
     for name in (FIRST, SECOND):
-        page.get_by_label(f"Compare {name}").check()
+        page.get_by_label(f"Choose {name}").check()
     page.get_by_role("link", name="Compare 2 logs").click()
-    for name in (FIRST, SECOND):
+    called = {FIRST: "RATE_P 0.2", SECOND: "RATE_P 0.1"}
+    for name, said in called.items():
         found = step_responses(read_log(flights / "flights" / name))
-        row = page.get_by_role("row").filter(has_text=name).first
+        row = page.get_by_role("row").filter(has_text=said).first
+        expect(page.locator("[data-plot]").first.get_by_text(said, exact=True)).to_be_visible()
         rise, overshoot = found[0].figures.rise_time, 100.0 * found[0].figures.overshoot
         expect(row).to_contain_text(f"{rise:.3f}")
         expect(row).to_contain_text(f"{overshoot:.1f}")
@@ -119,10 +126,9 @@ def test_compared_flights_show_their_steps(logs_server: Served, flights: Path, o
     for time in later:
         expect(page.get_by_role("row", name=f"{time:.2f}").first).to_have_class(re.compile("now"))
     other = step_responses(read_log(flights / "flights" / SECOND))[1].time
-    page.get_by_role("row").filter(has_text=SECOND).get_by_role("button", name=f"Align at {other:.2f} s").click()
-    expect(page.get_by_role("row").filter(has_text=SECOND).filter(has_text=f"{other:.2f}")).to_have_class(
-        re.compile("now")
-    )
+    row = page.get_by_role("row").filter(has_text=called[SECOND]).filter(has_text=f"{other:.2f}")
+    row.get_by_role("button", name=f"Align at {other:.2f} s").click()
+    expect(row).to_have_class(re.compile("now"))
     page.get_by_label("Aligned at").select_option("start")
     expect(page.get_by_text("position x").first).to_be_visible()
 
@@ -231,13 +237,31 @@ def test_a_log_is_uploaded_noted_downloaded_and_restored(
     np.testing.assert_array_equal(read_log(tmp_path / "got.parquet")["q"].value, read_log(source)["q"].value)
     page.get_by_role("button", name="Delete", exact=True).click()
     expect(page.get_by_text(f"{name} is deleted")).to_be_visible()
-    expect(page.get_by_label(f"Compare {name}")).to_have_count(0)
+    expect(page.get_by_label(f"Choose {name}")).to_have_count(0)
     expect(page.get_by_role("button", name="Undo")).to_be_focused()  # what was pressed is gone
     page.keyboard.press("Enter")
-    expect(page.get_by_label(f"Compare {name}")).to_be_visible()
+    expect(page.get_by_label(f"Choose {name}")).to_be_visible()
     for _ in patiently():
         if notes.exists():
             break
+
+
+def test_several_logs_come_in_one_zip_file(
+    logs_server: Served, flights: Path, open_page: OpenPage, tmp_path: Path
+) -> None:
+    page = open_page(link(logs_server))
+    for name in (FIRST, SECOND):
+        page.get_by_label(f"Choose {name}").check()
+    with page.expect_download() as got:
+        page.get_by_role("button", name="Download 2 as .zip").click()
+    got.value.save_as(tmp_path / "got.zip")
+    with ZipFile(tmp_path / "got.zip") as archive:
+        assert archive.testzip() is None
+        assert set(archive.namelist()) == {FIRST, SECOND}
+        assert archive.read(FIRST) == (flights / "flights" / FIRST).read_bytes()
+    page.get_by_label("All", exact=True).check()
+    expect(page.get_by_role("button", name=re.compile("^Download [3-9] as .zip$"))).to_be_visible()
+    assert axe(page) == []
 
 
 def test_an_upload_can_be_cancelled(logs_server: Served, flights: Path, open_page: OpenPage) -> None:

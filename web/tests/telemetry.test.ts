@@ -110,6 +110,20 @@ describe("the socket", () => {
     expect(sockets.length).toBe(before + 1);
   });
 
+  it("opens a new socket at once when it is asked to, also while one still connects", () => {
+    const seen: boolean[] = [];
+    telemetry.onConnection((connected) => seen.push(connected));
+    telemetry.start();
+    telemetry.again();
+    expect(sockets.length).toBe(2);
+    last().open();
+    expect(seen).toEqual([false, true]);
+    telemetry.again();
+    expect(sockets[1]!.closed).toBe(true);
+    expect(sockets.length).toBe(3);
+    expect(seen).toEqual([false, true, false]);
+  });
+
   it("is lost when nothing comes over it any more, open or not", () => {
     const seen: boolean[] = [];
     telemetry.onConnection((connected) => seen.push(connected));

@@ -21,7 +21,7 @@ from twodof.flightlog.events import (
     window,
 )
 from twodof.flightlog.log import FlightLog, Gap
-from twodof.signals import PERIOD
+from twodof.signals import BY_MAT, PERIOD
 
 MAX_LISTED = 1000
 """Most gaps that are listed one by one."""
@@ -229,3 +229,70 @@ def _shape(steps: Sequence[Event], end: float) -> str:
     if len(inside) == 4 and np.allclose(lengths, [3 * unit, 2 * unit, unit, unit], rtol=0.15):
         return "3-2-1-1"
     return "doublet" if len(inside) == 2 else "doublets"
+
+
+SPARK_COLUMNS = 96
+_SPARKS = ("theta", "x", "q", "M")
+_MOST_TEXT = 200
+
+
+def log_summary(log: FlightLog) -> dict[str, Any]:
+    """Return a log's row of a list as plain data, with None for unknown fields, and a small curve of it."""
+    start, end = log.span
+    told = log.provenance
+    flown, drone, recorded = (_table(told, name) for name in ("flown", "drone", "recorded"))
+    return {
+        "span": [start, end],
+        "duration": end - start,
+        "began": _short_text(recorded.get("began")),
+        "experiment": _short_text(told.get("experiment")) or _likely(log),
+        "rig": _short_text(told.get("rig")) or _short_text(drone.get("rig")),
+        "virtual": _flag(flown.get("virtual"), drone.get("virtual")),
+        "drone": drone.get("system") if isinstance(drone.get("system"), int) else None,
+        "controller": _short_text(flown.get("controller")) or _short_text(drone.get("controller")),
+        "seed": told["seed"] if isinstance(told.get("seed"), int) else None,
+        "reason": _short_text(flown.get("reason")),
+        "channels": len(log.channels),
+        "spark": _spark(log),
+    }
+
+
+def _table(told: dict[str, Any], name: str) -> dict[str, Any]:
+    found = told.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _short_text(value: object) -> str | None:
+    return value[:_MOST_TEXT] if isinstance(value, str) and value else None
+
+
+def _flag(*values: object) -> bool | None:
+    return next((value for value in values if isinstance(value, bool)), None)
+
+
+def _likely(log: FlightLog) -> str | None:
+    try:
+        found = excitations(log)
+    except LogError:  # a log of others that lacks what tells it
+        return None
+    return max(found, key=lambda one: one.duration).name if found else None
+
+
+def _spark(log: FlightLog) -> dict[str, Any] | None:
+    """Return a small curve: the lowest and highest value of each of `SPARK_COLUMNS` parts, None for an empty part."""
+    known = [name for name in (*_SPARKS, *log) if name in log and len(log[name]) > 1 and log[name].value.ndim == 1]
+    if not known:
+        return None
+    channel = log[known[0]]
+    start, end = log.span
+    edges = np.searchsorted(channel.time, np.linspace(start, end, SPARK_COLUMNS + 1))
+    edges[-1] = len(channel)
+    parts = [channel.value[first:last] for first, last in pairwise(edges.tolist())]
+    row = BY_MAT.get(known[0])
+    return {
+        "channel": known[0],
+        "text": row.text if row else known[0],
+        "unit": channel.unit,
+        "low": [float(part.min()) if part.size else None for part in parts],
+        "high": [float(part.max()) if part.size else None for part in parts],
+    }

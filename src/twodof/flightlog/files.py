@@ -2,11 +2,13 @@
 
 import importlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from io import RawIOBase
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,3 +179,37 @@ def _check(path: str | Path, wide: bool = False) -> str:
         what = f"{suffix} logs are not tables"
         raise LogError(what, str(path), f"write {', '.join(_WIDE)}, or leave the wide form out")
     return suffix
+
+
+class _Pieces(RawIOBase):
+    """End of a zip file that is sent as it is written."""
+
+    def __init__(self) -> None:
+        self._pieces: list[bytes] = []
+
+    def write(self, piece: Any, /) -> int:
+        self._pieces.append(bytes(piece))
+        return len(self._pieces[-1])
+
+    def take(self) -> bytes:
+        taken, self._pieces = b"".join(self._pieces), []
+        return taken
+
+
+PIECE = 1 << 18
+"""Bytes of a file in one piece of `zipped`."""
+
+
+def zipped(files: Mapping[str, Path]) -> Iterator[bytes]:
+    """Yield a zip file of `files` by their names in it, piece by piece. Most logs are compressed: nothing is here.
+
+    Raises OSError for a file that cannot be read.
+    """
+    pieces = _Pieces()
+    with ZipFile(pieces, "w") as archive:
+        for name, path in files.items():
+            with path.open("rb") as file, archive.open(ZipInfo.from_file(path, name), "w", force_zip64=True) as entry:
+                while piece := file.read(PIECE):
+                    entry.write(piece)
+                    yield pieces.take()
+    yield pieces.take()

@@ -106,6 +106,11 @@ class Channel:
         steps = np.diff(self.time)
         return float(np.mean(steps[steps <= GAP_FACTOR * np.median(steps)])) if steps.size else float("nan")
 
+    def held(self, t: ArrayLike) -> NDArray[np.float64]:
+        """Return the latest value at or before each time of `t` (m,) [s], NaN for none. Raises LogError."""
+        place = self.index(t)
+        return np.where(place >= 0, self.value[np.maximum(place, 0)], np.nan)
+
     def index(self, t: ArrayLike, how: How = "hold") -> NDArray[np.intp]:
         """Return the index of the sample that stands for each time of `t` (m,) [s], -1 for none. Raises LogError.
 

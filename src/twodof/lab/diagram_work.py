@@ -134,25 +134,21 @@ def compiled(text: str, rig: str) -> dict[str, Any]:
     return portable_loop(from_json(text), rig=rig)
 
 
-MOST_PICTURE = 4 << 20
-"""Largest picture of a Simulink sheet [letters]."""
-MOST_ROWS = 2000
-"""Most subsystems, and most lines of the report of an import."""
+MOST_PICTURE, MOST_ROWS = 4 << 20, 2000
+"""Most letters of the picture of a Simulink sheet; most subsystems, and most lines of the report of an import."""
 
 
 def simulink(folder: str, names: list[str], sizes: list[int], system: str) -> dict[str, Any]:
     """Draw a system of the first model, list its subsystems, and translate the system.
 
-    The file "files" in `folder` has the contents of the files called `names`, one after the other: the model, its
-    libraries, and scripts and .mat files with the names that it takes. Raises DiagramError.
+    The file "files" in `folder` has the contents of `names`: model, libraries, workspaces. Raises DiagramError.
     """
     place, known, notes = Path(folder), dict[str, Value](), list[str]()
     with (place / "files").open("rb") as stream:
         for name, size in zip(names, sizes, strict=True):
             (place / name).write_bytes(stream.read(size))
-    for file in (place / name for name in names):
-        if file.suffix.lower() not in SUFFIXES:
-            notes += [f"{file.name}, line {one.line}: {one.why}" for one in read_workspace(file, known)]
+            if not name.lower().endswith(SUFFIXES):
+                notes += [f"{name}, line {one.line}: {one.why}" for one in read_workspace(place / name, known)]
     model = read_model(place / names[0])
     svg = sheet_svg(model, system)
     if len(svg) > MOST_PICTURE:

@@ -8,25 +8,22 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from twodof.errors import LogError
-from twodof.flightlog.contents import excitations
+from twodof.flightlog.contents import log_summary
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog, decimate, log_of_rows
 from twodof.flightlog.provenance import versions
 from twodof.flightlog.recovery import recover
 from twodof.flightlog.ulog_file import write_ulg
-from twodof.report.plots.comparison_view import Align, common_steps, comparison_view
+from twodof.report.plots.comparison_view import Align, common_steps, comparison_view, flight_names
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view, signal_names, signals_panel
 from twodof.report.step_responses import folded_steps, step_responses
-from twodof.signals import BY_MAT
 
 MOST_BYTES = 96 << 20
 """Most bytes of the files whose logs are kept in memory, where a log takes 5 to 12 times the size of its file."""
@@ -60,72 +57,9 @@ def mat_of_rows(path: str, columns: list[str], target: str) -> None:
     write_log(log, target)
 
 
-COLUMNS = 96
-_SPARKS = ("theta", "x", "q", "M")
-_MOST_TEXT = 200
-
-
 def summary(path: str) -> dict[str, Any]:
-    """Return the summary of the log in a file, with None for unknown fields. Raises LogError."""
-    log = kept_log(path)
-    start, end = log.span
-    told = log.provenance
-    flown, drone, recorded = (_table(told, name) for name in ("flown", "drone", "recorded"))
-    return {
-        "span": [start, end],
-        "duration": end - start,
-        "began": _short_text(recorded.get("began")),
-        "experiment": _short_text(told.get("experiment")) or _likely(log),
-        "rig": _short_text(told.get("rig")) or _short_text(drone.get("rig")),
-        "virtual": _flag(flown.get("virtual"), drone.get("virtual")),
-        "drone": drone.get("system") if isinstance(drone.get("system"), int) else None,
-        "controller": _short_text(flown.get("controller")) or _short_text(drone.get("controller")),
-        "seed": told["seed"] if isinstance(told.get("seed"), int) else None,
-        "reason": _short_text(flown.get("reason")),
-        "channels": len(log.channels),
-        "spark": _spark(log),
-    }
-
-
-def _table(told: dict[str, Any], name: str) -> dict[str, Any]:
-    found = told.get(name)
-    return found if isinstance(found, dict) else {}
-
-
-def _short_text(value: object) -> str | None:
-    return value[:_MOST_TEXT] if isinstance(value, str) and value else None
-
-
-def _flag(*values: object) -> bool | None:
-    return next((value for value in values if isinstance(value, bool)), None)
-
-
-def _likely(log: FlightLog) -> str | None:
-    try:
-        found = excitations(log)
-    except LogError:  # a log of others that lacks what tells it
-        return None
-    return max(found, key=lambda one: one.duration).name if found else None
-
-
-def _spark(log: FlightLog) -> dict[str, Any] | None:
-    """Return a small curve: the lowest and highest value of each of `COLUMNS` parts, None for an empty part."""
-    known = [name for name in (*_SPARKS, *log) if name in log and len(log[name]) > 1 and log[name].value.ndim == 1]
-    if not known:
-        return None
-    channel = log[known[0]]
-    start, end = log.span
-    edges = np.searchsorted(channel.time, np.linspace(start, end, COLUMNS + 1))
-    edges[-1] = len(channel)
-    parts = [channel.value[first:last] for first, last in pairwise(edges.tolist())]
-    row = BY_MAT.get(known[0])
-    return {
-        "channel": known[0],
-        "text": row.text if row else known[0],
-        "unit": channel.unit,
-        "low": [float(part.min()) if part.size else None for part in parts],
-        "high": [float(part.max()) if part.size else None for part in parts],
-    }
+    """Return `log_summary` of the log in a file. Raises LogError."""
+    return log_summary(kept_log(path))
 
 
 MOST_POINTS = 4000
@@ -150,7 +84,7 @@ def facts(path: str) -> dict[str, Any]:
     parameters = log.provenance.get("parameters")
     known = sorted(parameters.items())[:MOST_SAID] if isinstance(parameters, dict) else []
     return {
-        **summary(path),
+        **log_summary(log),
         "all_channels": channels,
         "parameters": [[str(name)[:80], value] for name, value in known if isinstance(value, int | float)],
         "texts": _rows(log, "texts", _TEXT),
@@ -192,18 +126,7 @@ def steps(path: str) -> dict[str, Any]:
 def fold(path: str) -> list[dict[str, Any]]:
     """Return the steps of each loop over each other, by parameters flown: all responses, mean and deviation."""
     log = kept_log(path)
-    return [
-        {
-            "loop": one.loop,
-            "after_s": one.after_s,
-            "statistics": one.statistics(),
-            "time": one.time.tolist(),
-            "shares": one.shares[-MOST_FOLDED:].tolist(),
-            "mean": one.shares.mean(axis=0).tolist(),
-            "deviation": one.shares.std(axis=0, ddof=int(len(one.shares) > 1)).tolist(),
-        }
-        for one in folded_steps(log, step_responses(log))
-    ]
+    return [one.to_json(MOST_FOLDED) for one in folded_steps(log, step_responses(log))]
 
 
 def compare(
@@ -211,15 +134,19 @@ def compare(
 ) -> dict[str, Any]:
     """Compare flights, named by `paths`: the view, and the steps and the time 0 [s] of each, given as `zero` or found.
 
+    `names` has a name of each by what differs among them, as curves are called.
+
     Flights without steps of one loop are aligned at their starts; `unaligned` says why. Raises LogError otherwise.
     """
     logs = {name: kept_log(path) for name, path in paths.items()}
     given = dict(zip(paths, zero, strict=False))
     stepped, why = common_steps(logs) if align == Align.step else ({}, "")
-    found = comparison_view(logs, Align.step if stepped else Align.start, window, given)
     zeros = {name: stepped[name][0].time if stepped else log.span[0] for name, log in logs.items()} | given
+    names, kind = flight_names(logs), Align.step if stepped else Align.start
+    called = {names[name]: log for name, log in logs.items()}
+    found = comparison_view(called, kind, window, {names[name]: time for name, time in given.items()})
     rows = {name: [step.to_json() for step in one] for name, one in stepped.items()}
-    return {**_told(found, points), "steps": rows, "zero": zeros, "unaligned": why}
+    return {**_told(found, points), "steps": rows, "zero": zeros, "names": names, "unaligned": why}
 
 
 def replay(path: str) -> dict[str, Any]:
@@ -231,7 +158,9 @@ def replay(path: str) -> dict[str, Any]:
     start, end = log.span
     rate = min(REPLAY_HZ, MOST_REPLAYED / max(end - start, 1e-9))
     times = start + np.arange(max(1, int((end - start) * rate) + 1)) / rate
-    columns = {name: _sampled(log, name, times) for name in _REPLAYED if name in log and log[name].value.ndim == 1}
+    columns = {
+        name: log[name].held(times).astype("<f4") for name in _REPLAYED if name in log and log[name].value.ndim == 1
+    }
     return {
         "start": start,
         "rate": rate,
@@ -256,13 +185,6 @@ def recovered(path: str, target: str) -> dict[str, Any]:
 def _overlaps(log: FlightLog, window: tuple[float, float]) -> bool:
     start, end = log.span
     return window[0] < window[1] and window[1] > start and window[0] < end
-
-
-def _sampled(log: FlightLog, name: str, times: NDArray[np.float64]) -> NDArray[np.float32]:
-    channel = log[name]
-    place = channel.index(times)
-    known = np.where(place >= 0, channel.value[np.maximum(place, 0)], np.nan)
-    return known.astype("<f4")
 
 
 def _told(found: FlightView, points: int) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from twodof.design.tuning_preview import GAINS, PitchLaw
 from twodof.errors import DiagramError, LogError, ParameterError, Rejected, TwodofError
 from twodof.flight.templates import ATTITUDE
 from twodof.flightlog.atomic import atomic_write, make_folder
-from twodof.flightlog.log import FlightLog
 from twodof.flightlog.provenance import read_bytes
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.parameters import BY_NAME
@@ -26,7 +25,7 @@ from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.folders import NamedFiles
 from twodof.lab.log_work import kept_log
 from twodof.lab.processes import Workbench
-from twodof.report.step_responses import FlownStep, step_responses
+from twodof.report.step_responses import step_responses
 
 MAX_BYTES = 1 << 20
 _CHOICES = ".chosen"
@@ -156,29 +155,15 @@ MOST_STEPS = 12
 def measured_steps(path: str, goal: float) -> dict[str, Any]:
     """Return the last steps of the attitude's set-point in a log, each scaled to go from 0 to `goal` [rad].
 
-    `time` [s] is from the step on, up to its end. `unclear` has the reason if there are none, as in a log that has no
-    modes or cannot be read.
+    `unclear` has the reason if there are none, as in a log that has no modes or cannot be read.
     """
     try:
         log = kept_log(path)
         flown = [one for one in step_responses(log) if one.loop == "attitude"]
     except LogError as reason:
         return {"steps": [], "unclear": reason.what}
-    found = [_scaled(log, one, goal) for one in flown if abs(one.after - one.before) >= LEAST]
+    found = [one.scaled(log, goal) for one in flown if abs(one.after - one.before) >= LEAST]
     return {"steps": found[-MOST_STEPS:], "unclear": ""}
-
-
-def _scaled(log: FlightLog, step: FlownStep, goal: float) -> dict[str, Any]:
-    factor = goal / (step.after - step.before)
-    flown = log["theta"].slice(step.time, step.end)
-    figures = step.to_json()
-    return {
-        "at": step.time,
-        "size": step.after - step.before,
-        "time": [round(float(t - step.time), 4) for t in flown.time],
-        "theta": [float(f"{(v - step.before) * factor:.5g}") for v in flown.value],
-        "figures": {name: figures.get(name) for name in ("rise_time", "overshoot", "settling_time", "peak_moment")},
-    }
 
 
 def judge(

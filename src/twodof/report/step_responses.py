@@ -52,6 +52,18 @@ class FlownStep:
         rows = {k: v for k, v in asdict(self).items() if k != "figures"} | asdict(self.figures)
         return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in rows.items()}
 
+    def scaled(self, log: FlightLog, goal: float) -> dict[str, Any]:
+        """Return the response in `log` as plain data, scaled to go from 0 to `goal`; `time` is from the step [s]."""
+        factor = goal / (self.after - self.before)
+        flown, figures = log[FOLLOWING[self.loop]].slice(self.time, self.end), self.to_json()
+        return {
+            "at": self.time,
+            "size": self.after - self.before,
+            "time": [round(float(t - self.time), 4) for t in flown.time],
+            "theta": [float(f"{(v - self.before) * factor:.5g}") for v in flown.value],
+            "figures": {name: figures.get(name) for name in ("rise_time", "overshoot", "settling_time", "peak_moment")},
+        }
+
 
 def step_responses(log: FlightLog) -> tuple[FlownStep, ...]:
     """Return the responses to all `flown_steps`, by time; both levels were held for a quarter of a second.
@@ -101,6 +113,18 @@ class FoldedSteps:
             name: (len(of), of.mean(), of.std(ddof=1) if len(of) > 1 else math.nan, of.min(), of.max())
             for name, of in known.items()
             if len(of)
+        }
+
+    def to_json(self, most: int) -> dict[str, Any]:
+        """Return plain data with the last `most` responses, and mean and standard deviation of all."""
+        return {
+            "loop": self.loop,
+            "after_s": self.after_s,
+            "statistics": self.statistics(),
+            "time": self.time.tolist(),
+            "shares": self.shares[-most:].tolist(),
+            "mean": self.shares.mean(axis=0).tolist(),
+            "deviation": self.shares.std(axis=0, ddof=int(len(self.shares) > 1)).tolist(),
         }
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import errno
+import io
 import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab import folders
 from twodof.lab.folders import KEPT_DAYS
+from twodof.lab.routes import logs as log_routes
 from twodof.lab.routes.logs import MOST_UPLOADED
 from twodof.report.step_responses import step_responses
 
@@ -391,3 +394,47 @@ def test_a_log_of_others_is_shown_too(server: Served) -> None:
     assert [view["label"] for view in found["views"]] == ["temperature [K]"]
     assert server.ask("GET", f"/api/logs/{name}/steps").json["unclear"]
     assert server.ask("DELETE", f"/api/logs/{name}").status == 200
+
+
+def test_a_zip_file_has_the_logs_as_they_are(server: Served) -> None:
+    got = server.ask("GET", "/api/logs/zip?name=a.mcap&name=b.mat&name=1:theirs.parquet")
+    assert got.headers["content-type"] == "application/zip"
+    with ZipFile(io.BytesIO(got.content)) as archive:
+        assert archive.namelist() == ["a.mcap", "b.mat", "1/theirs.parquet"]
+        for name in ("a.mcap", "b.mat"):
+            assert archive.read(name) == (server.folder / "flights" / name).read_bytes()
+    for query, status in (("name=../secret.mat", 404), ("", 422), ("&".join(["name=a.mcap"] * 51), 422)):
+        assert server.ask("GET", f"/api/logs/zip?{query}").status == status
+
+
+def test_too_many_bytes_for_a_zip_file_are_refused(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log_routes, "MOST_ZIP_BYTES", 1000)
+    got = server.ask("GET", "/api/logs/zip?name=a.mcap")
+    assert (got.status, got.json["remedy"]) == (409, "choose fewer at once")
+
+
+def test_compared_flights_are_named_by_what_differs(server: Served) -> None:
+    folder = server.folder / "flights"
+    same = {"parameters": {"RATE_KP": 0.0854, "ATT_KP": 5.0, "M_MAX": 0.2}, "flown": {"controller": "stock"}}
+    other = {"parameters": {"RATE_KP": 0.1, "ATT_KP": 5.0, "M_MAX": 0.2}, "flown": {"controller": "stock"}}
+    own = {**same, "flown": {"controller": "lqr"}}
+    for name, told in {"same": same, "other": other, "own": own}.items():
+        write_log(noted(attitude_steps(), **told), folder / f"{name}.mcap")
+    late = {"changes": [[2.0, "RATE_KP", 0.1]], "recorded": {"began": "2026-03-01T10:00:00+01:00"}}
+    write_log(noted(attitude_steps(), **same, **late), folder / "changed.mcap")
+
+    def called(*names: str) -> dict[str, str]:
+        query = "&".join(f"name={name}.mcap" for name in names)
+        found = server.ask("GET", f"/api/logs/compare?{query}").json
+        assert {*found["names"].values()} <= {one["label"] for view in found["views"] for one in view["curves"]}
+        return {name.removesuffix(".mcap"): said for name, said in found["names"].items()}
+
+    assert called("same", "other") == {"same": "RATE_KP 0.0854", "other": "RATE_KP 0.1"}
+    assert called("same", "own") == {"same": "stock controller", "own": "lqr controller"}
+    assert called("same", "other", "changed") == {
+        "same": "RATE_KP 0.0854",
+        "other": "RATE_KP 0.1, other.mcap",
+        "changed": "RATE_KP 0.1, 2026-03-01T10:00:00",
+    }
+    for name in ("same", "other", "own", "changed"):
+        (folder / f"{name}.mcap").unlink()

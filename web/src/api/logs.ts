@@ -118,6 +118,8 @@ export interface LoggedFold {
 
 export interface LogComparison extends LogView {
   zero: Record<string, number>;
+  /** Name of each flight by what differs among them; curves have it. */
+  names: Record<string, string>;
   steps: Record<string, LoggedStep[]>;
   /** Why the flights are aligned at their starts and not at steps, or "". */
   unaligned: string;
@@ -175,6 +177,12 @@ export function compareLogs(
   const query = new URLSearchParams([["align", align], ...names.map((name) => ["name", name])]);
   for (const time of zero) query.append("zero", String(time));
   return get(`logs/compare?${query}`);
+}
+
+/** Download several logs, each in its own format, as one zip file. */
+export async function logsZip(names: readonly string[]): Promise<Blob> {
+  const query = new URLSearchParams(names.map((name) => ["name", name]));
+  return (await request("GET", `logs/zip?${query}`, undefined, 4 * FILE_S)).blob();
 }
 
 export async function logFile(name: string, form: Format): Promise<Blob> {

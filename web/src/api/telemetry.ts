@@ -73,6 +73,13 @@ export class Telemetry {
     this.start();
   }
 
+  /** Give the socket up, also one that still connects, and open a new one at once. */
+  again(): void {
+    this.drop();
+    this.say(false);
+    this.hurry();
+  }
+
   /**
    * Has `onRows` called with the rows of these columns of signals.TOPICS, at most `rate` [Hz] a second, until the
    * answered function is called. Below the full rate each bucket keeps its minimum and its maximum.

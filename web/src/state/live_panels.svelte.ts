@@ -38,10 +38,7 @@ export function keepHistory(history: History, drone: number, rate: number, also?
   const events = telemetry.onEvent((event) => {
     if (event.event === "parameters" && event.drone === drone) history.noteChange();
   });
-  return () => {
-    rows();
-    events();
-  };
+  return () => (rows(), events());
 }
 
 /**

@@ -100,23 +100,26 @@ async def compile_loop(lab: CurrentLab, request: Request, asked: LoopRequest) ->
     return await _work(lab, request, diagram_work.compiled, asked.text, asked.rig, seconds=COMPILE_S)
 
 
-_ModelFile = Annotated[str, Field(pattern=r"^\w[\w .()+-]{0,99}\.(?i:slx|mdl|m|mat)$")]
-MOST_MODEL = 16 << 20
+MOST_MODEL, MOST_FILES = 16 << 20, 12
+_ModelFile = Annotated[str, Field(pattern=r"^\w[\w .()+-]{0,59}\.(?i:slx|mdl|m|mat)$")]
+_FileSize = Annotated[int, Field(ge=0, le=MOST_MODEL)]
 
 
 @router.post("/simulink", openapi_extra=RAW, dependencies=[WATCHERS_MAY, takes(MOST_MODEL)])
 async def simulink(
     lab: CurrentLab,
     request: Request,
-    name: Annotated[list[_ModelFile], Query(max_length=20, description="The model, its libraries and workspaces.")],
-    size: Annotated[list[int], Query(max_length=20, description="Bytes of each file.")],
-    system: Annotated[str, Query(max_length=2000, description="Path of a subsystem; left out: the model.")] = "",
+    name: Annotated[
+        list[_ModelFile], Query(max_length=MOST_FILES, description="The model, its libraries and workspaces.")
+    ],
+    size: Annotated[list[_FileSize], Query(max_length=MOST_FILES, description="Bytes of each file.")],
+    system: Annotated[str, Query(max_length=400, description="Path of a subsystem; left out: the model.")] = "",
 ) -> dict[str, Any]:
     """Draw a system of a Simulink model, list the model's systems, and translate the system; nothing is kept.
 
     The body is the files, one after the other. `text` is the diagram, "" if the `report` has blocks that are refused.
     """
-    if len(set(name)) < len(size) or len(name) != len(size) or min(size) < 0:
+    if len({*name}) < len(name) or len(name) != len(size):
         raise DiagramError("each file needs a name of its own and a size", "name, size", "give one of each for a file")
     with lab.logs.scratch() as folder:
         await receive_file(request, FilePath(folder) / "files")

@@ -10,11 +10,12 @@ from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal, get_args
 
 from fastapi import Path, Query, Request
-from fastapi.responses import FileResponse, Response
+from fastapi.responses import FileResponse, Response, StreamingResponse
 from pydantic import Field, FiniteFloat
 from starlette.background import BackgroundTask
 
 from twodof.errors import LogError, Rejected, TwodofError
+from twodof.flightlog.files import zipped
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab import log_work
 from twodof.lab.access import RAW, lab_router, receive_file, takes
@@ -28,6 +29,8 @@ router = lab_router("/api/logs", "logs")
 MOST_SUMMARIES = 4000
 MOST_UPLOADED = MAX_FILE_BYTES // 2
 CONVERT_S = 90.0
+MOST_ZIPPED, MOST_ZIP_BYTES = 50, 1 << 30
+"""Most logs, and most bytes of them, in one zip file."""
 Name = Annotated[LogName, Path(description="Name of a log in the list.")]
 Moment = Annotated[FiniteFloat | None, Query(description="In the log's time [s]; left out: the whole log.")]
 Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Points of each curve, about.")]
@@ -67,6 +70,19 @@ async def compare(
         raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each log once")
     paths = {one: str(lab.whole_log(one)) for one in name}
     return await lab.log_bench.do(log_work.compare, paths, align, _window(begin, end), points, zero or [])
+
+
+@router.get("/zip", response_class=Response)
+async def zip_file(
+    lab: CurrentLab,
+    name: Annotated[list[LogName], Query(max_length=MOST_ZIPPED, description="Name of each log.")],
+) -> Response:
+    """Download several logs, each in its own format, in one zip file, which is sent while it is written."""
+    paths = {one.replace(":", "/"): lab.whole_log(one) for one in name}
+    if sum(path.stat().st_size for path in paths.values()) > MOST_ZIP_BYTES:
+        raise Rejected(f"these logs have more than {MOST_ZIP_BYTES >> 20} MiB", "logs", "choose fewer at once")
+    headers = {"content-disposition": 'attachment; filename="twodof-logs.zip"'}
+    return StreamingResponse(zipped(paths), media_type="application/zip", headers=headers)
 
 
 @router.get("/{name}")

@@ -13,7 +13,7 @@ from starlette.websockets import WebSocketDisconnect
 from twodof import __version__
 from twodof.errors import Rejected
 from twodof.gcs.full_rate import BatchRows
-from twodof.lab.access import CLIENT, RAW, WATCHERS_MAY, Role, lab_router, receive_file, takes
+from twodof.lab.access import CLIENT, WATCHERS_MAY, Role, lab_router, receive_file, takes
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.lab import CurrentLab
 from twodof.lab.log_work import mat_of_rows
@@ -116,10 +116,11 @@ async def cancel(lab: CurrentLab, job: JobId) -> dict[str, Any]:
 export_router = lab_router("/api/export", "export")
 MOST = 64 << 20
 """Largest body [bytes]: a quarter of an hour of fifteen columns."""
+_BINARY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 Columns = Annotated[str, Query(max_length=4096, description="Names of the columns, separated by commas.")]
 
 
-@export_router.post("/mat", openapi_extra=RAW, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
+@export_router.post("/mat", openapi_extra=_BINARY, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
 async def mat(lab: CurrentLab, request: Request, columns: Columns) -> Response:
     """Return the rows of a plot as a .mat file with the channels of the drone's own logs.
 

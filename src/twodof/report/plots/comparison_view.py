@@ -30,6 +30,8 @@ _PROMISED: Mapping[str, tuple[str, float]] = {
     "v": ("v [m/s]", 1.0),
     "x": ("x from where it was [m]", 1.0),
 }
+_MOST_NAMED = 3
+"""Most parameters in the name of a flight."""
 _MOST_STEPS = 4
 """Most steps over the bands of a promise in one picture."""
 
@@ -65,6 +67,41 @@ def common_steps(logs: Mapping[str, FlightLog]) -> tuple[dict[str, tuple[FlownSt
         return flight_steps(logs), ""
     except LogError as reason:
         return {}, f"{reason.what} ({reason.where})"
+
+
+def flight_names(logs: Mapping[str, FlightLog]) -> dict[str, str]:
+    """Return a name for each flight by what differs among them: the controller, and up to three parameters.
+
+    Parameters count if all flights tell them, with the values that a flight ended with. Flights that agree in these get
+    the time at which they were recorded as well, or their key.
+    """
+    told = {key: _flown_with(log) for key, log in logs.items()}
+    first, *others = told.values()
+    differ = [name for name in first if any(first[name] != other.get(name, first[name]) for other in others)]
+    differ = [name for name in differ if all(name in other for other in others)][:_MOST_NAMED]
+    found = {key: ", ".join(_named(name, values[name]) for name in differ) for key, values in told.items()}
+    for key in [key for key, name in found.items() if not name or [*found.values()].count(name) > 1]:
+        recorded = logs[key].provenance.get("recorded")
+        began = str(recorded.get("began") or "")[:19] if isinstance(recorded, dict) else ""
+        found[key] = f"{found[key]}, {began or key}".removeprefix(", ")
+    return found if len({*found.values()}) == len(found) else {key: key for key in logs}
+
+
+def _flown_with(log: FlightLog) -> dict[str, float | str]:
+    """Return the controller and the values of the parameters that a flight ended with."""
+    told, values = log.provenance, dict[str, float | str]()
+    for source in (told.get("drone"), told.get("flown")):
+        if isinstance(source, dict) and isinstance(source.get("controller"), str):
+            values["controller"] = source["controller"]
+    parameters, changes = told.get("parameters"), told.get("changes")
+    rows = [*parameters.items()] if isinstance(parameters, dict) else []
+    made = changes if isinstance(changes, list) else []
+    rows += [(row[1], row[2]) for row in made if isinstance(row, list) and len(row) == 3]
+    return values | {str(name): value for name, value in rows if isinstance(value, int | float)}
+
+
+def _named(name: str, value: float | str) -> str:
+    return f"{value} controller" if isinstance(value, str) else f"{name} {value:.4g}"
 
 
 def comparison_view(

@@ -17,10 +17,7 @@ class Analysis {
       this.job = next;
       this.found = (await next.run(async () => api.startMargins(await text(), rig))) ?? this.found;
     }, WAIT_MS);
-    return () => {
-      clearTimeout(timer);
-      next.leave();
-    };
+    return () => (clearTimeout(timer), next.leave());
   }
 }
 

@@ -29,18 +29,13 @@ export class Live {
   /** Start; returns a function that stops it. */
   start(): () => void {
     let dropped = 0;
-    const stop = keepHistory(this.history, this.drone, RATE_HZ, (rows) => {
-      dropped = rows.dropped;
-    });
+    const stop = keepHistory(this.history, this.drone, RATE_HZ, (rows) => (dropped = rows.dropped));
     const timer = setInterval(() => {
       if (this.history.length === 0 || document.hidden) return;
       this.dropped = dropped;
       this.beat += 1;
     }, SHOW_MS);
-    return () => {
-      stop();
-      clearInterval(timer);
-    };
+    return () => (stop(), clearInterval(timer));
   }
 
   /** Return the rows from `low` to `high` [s] as a .mat file with the channels of the drone's own logs. */

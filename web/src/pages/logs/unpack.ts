@@ -1,11 +1,6 @@
 // Numbers as the server packs them: little-endian, in base 64.
 
-function bytes(text: string): ArrayBuffer {
-  const raw = atob(text);
-  const out = new Uint8Array(raw.length);
-  for (let k = 0; k < raw.length; k += 1) out[k] = raw.charCodeAt(k);
-  return out.buffer;
-}
+const bytes = (text: string): ArrayBuffer => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
 
 export const float32s = (text: string): Float32Array => new Float32Array(bytes(text));
 export const float64s = (text: string): Float64Array => new Float64Array(bytes(text));

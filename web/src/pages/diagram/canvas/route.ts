@@ -38,9 +38,7 @@ export function routed(from: Point, to: Point, boxes: readonly Box[]): Route {
     if (near.length === 0 || from[1] === to[1]) return { x: middle };
     const beside = near.flatMap((box) => [box.x - 15, box.x + box.width + 15]).filter((x) => x > left && x < right);
     const legs = nearest(beside, middle, (x) => Math.abs(x - middle));
-    return {
-      x: best([middle, right, left, ...legs], near, (x) => [from, [x, from[1]], [x, to[1]], to]),
-    };
+    return { x: best([middle, right, left, ...legs], near, (x) => [from, [x, from[1]], [x, to[1]], to]) };
   }
   const middle = (from[1] + to[1]) / 2;
   const length = (y: number): number => Math.abs(y - from[1]) + Math.abs(y - to[1]);
