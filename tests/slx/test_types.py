@@ -370,3 +370,29 @@ def test_a_loop_through_a_matrix_is_as_wide_as_its_columns(tmp_path: Path) -> No
     y = flown(imported(tmp_path, blocks, [("x", "A"), ("A", "x"), ("x", "y")]), {})["y"]
     t = DT * np.arange(200)  # x'' = -4 x from (1, 1); Runge-Kutta of fourth order, error of 2 h^5 / 120 a step
     assert np.allclose(y[:, 0], np.cos(2 * t) + 0.5 * np.sin(2 * t), atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["Constant", "Ground", "DataTypeConversion"])
+def test_a_type_is_taken_from_behind(tmp_path: Path, kind: str) -> None:
+    """From the element of a bus, and from what the signal is added to."""
+    values = {"Constant": {"Value": "250", "OutDataTypeStr": "Inherit: Inherit via back propagation"}}
+    source = [("Inport", "u", {"OutDataTypeStr": "double"})] * (kind == "DataTypeConversion")
+    blocks = [
+        *source,
+        ("Inport", "n", {"Port": str(1 + len(source)), "OutDataTypeStr": "uint8"}),
+        ("Inport", "rates", {"Port": str(2 + len(source)), "OutDataTypeStr": "Bus: Rates"}),
+        (kind, "c", values.get(kind, {})),
+        ("BusCreator", "make", {"OutDataTypeStr": "Bus: Sensors", "Ports": "[2, 1]"}),
+        ("Outport", "bus", {}),
+        (kind, "d", values.get(kind, {})),
+        ("Sum", "sum", {"Ports": "[2, 1]", **WRAP}),
+        ("Outport", "y", {"Port": "2"}),
+    ]
+    lines = [*[("u", "c"), ("u", "d")] * len(source), ("c", "make:1"), ("rates", "make:2"), ("make", "bus")]
+    lines += [("n", "sum:1"), ("d", "sum:2"), ("sum", "y")]
+    given = {"n": INT8 + 128, "rates.p": DRAWN[0], "rates.axes": DRAWN.T.copy()}
+    given |= {"u": 300 + DRAWN[1]} if source else {}
+    found = flown(imported(tmp_path, blocks, lines), given)
+    value = {"Constant": 250, "Ground": 0, "DataTypeConversion": 255}[kind]
+    assert set(found["bus.count"]) == {value}
+    assert np.array_equal(found["y"], wrapped(INT8 + 128 + value, "uint8"))

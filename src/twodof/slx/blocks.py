@@ -298,7 +298,7 @@ RULES: dict[str, Rule] = {
     "Demux": _demux,
     "DotProduct": _dot,
     "Gain": _gain,
-    "Ground": lambda c: Made(Constant(0.0), [Signal()]),
+    "Ground": lambda c: _constant(replace(c, values={"OutDataTypeStr": "double", **c.values, "Value": "0"})),
     "Logic": _logic,
     "Math": _function(Elementary, MATH),
     "Mux": _mux,
@@ -329,13 +329,6 @@ TAKES_SMALL = (
 )
 """Types that take integers of 8 and 16 bits."""
 TAKES_MATRICES = ("BusAssignment", "BusCreator", *DROPPED)
-
-
-KEEPS_TYPE = (
-    *("Abs", "Bias", "Delay", "Gain", "Logic", "Memory", "Merge", "MinMax", "RateTransition", "Saturate", "Sum"),
-    *("SignalSpecification", "Switch", "UnaryMinus", "UnitDelay", "ZeroOrderHold"),
-)
-"""Types whose output has the type of what they combine."""
 
 
 def check_inputs(kind: str, inputs: Sequence[Signal]) -> None:

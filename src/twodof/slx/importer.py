@@ -24,7 +24,7 @@ from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import Constant, Logic, Merge, RateTransition, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, INPUTS, KEEPS_TYPE, RULES, check_inputs
+from twodof.slx.blocks import DROPPED, INPUTS, RULES, check_inputs
 from twodof.slx.bus_ports import with_bus_ports
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition, ControlEdge, conditions_of
 from twodof.slx.data_types import kind_of, sized
@@ -32,10 +32,11 @@ from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab import evaluate, run
-from twodof.slx.matlab_function import MatlabFunction, last_index
+from twodof.slx.matlab_function import MatlabFunction
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
 from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, port_number, read_model
 from twodof.slx.rates import CONTINUOUS, base_period, inherited
+from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, plain
 
 Output = tuple[str, str, int]
@@ -87,37 +88,6 @@ def import_system(
     return _Import(model, path, dict(workspace or {}), folders, dt).run()
 
 
-class _Sheet:
-    """A system with what is asked of it again and again: what drives a pin, who has a port's number, or a tag."""
-
-    def __init__(self, system: System, names: dict[str, Value], owner: tuple[str, str] | None) -> None:
-        self.system, self.names, self.owner = system, names, owner
-        self.diagram = Diagram("sheet")
-        self.parts: dict[str, str] = {}
-        self.helpers: dict[str, str] = {}
-        self.sources: dict[Pin, Pin] = {}
-        self.sinks: dict[Pin, list[Pin]] = {}
-        self.inputs: dict[str, int] = {}
-        for line in system.lines:
-            for pin in line.wire.sinks():
-                if pin.kind == "in":
-                    self.inputs[pin.sid] = max(self.inputs.get(pin.sid, 0), pin.number)
-                if line.source is not None:
-                    self.sources[pin] = line.source
-                    self.sinks.setdefault(line.source, []).append(pin)
-        self.labels = {line.source: line.name for line in system.lines if line.source is not None and line.name}
-        for sid, block in system.blocks.items():
-            for output, name in block.signals.items():
-                self.labels.setdefault(Pin(sid, "out", output), name)
-        self.ports: dict[tuple[str, int], str] = {}
-        self.tagged: dict[tuple[str, str], list[str]] = {}
-        for sid, block in system.blocks.items():
-            if block.type in ("Inport", "Outport"):
-                self.ports[block.type, port_number(block)] = sid
-            elif block.type in ("Goto", "From", "GotoTagVisibility"):
-                self.tagged.setdefault((block.type, block.values.get("GotoTag", "A")), []).append(sid)
-
-
 class _Import:
     def __init__(
         self, model: Model, path: str, workspace: dict[str, Value], folders: Sequence[Path], dt: float | None
@@ -128,7 +98,7 @@ class _Import:
         self.libraries: dict[str, Model | None] = {}
         self.names = {**self._names_of(model), **workspace}
         self.defaults = {self.path: model.defaults}
-        self.sheets: dict[str, _Sheet] = {}
+        self.sheets: dict[str, Sheet] = {}
         self.conditions: dict[str, list[Condition]] = {}
         self.referenced: dict[str, dict[str, Value]] = {}
         self.beyond: dict[tuple[str, str], Output] = {}
@@ -218,7 +188,7 @@ class _Import:
             self.blocks[path, sid] = system.blocks[sid] = linked
             if inner is not None:
                 inside.append((at, sid, inner, masked))
-        self.sheets[path] = _Sheet(system, names, owner)
+        self.sheets[path] = Sheet(system, names, owner)
         if path not in self.defaults and owner is not None:
             self.defaults[path] = self.defaults[owner[0]]
         try:
@@ -416,7 +386,7 @@ class _Import:
         if said == "single":
             self.approximated.setdefault(key, []).append(_SINGLE)
         if elements == [-1]:
-            elements = [1 if isinstance(kind, Bus) else self._width_wanted(*key, 0)]
+            elements = [1 if isinstance(kind, Bus) else width_wanted(self.sheets, *key, self.code)]
             if elements != [1] or said.startswith("Inherit"):
                 shape = f"a vector of {elements[0]} {kind}" if elements != [1] else f"a scalar {kind}"
                 shape = shape.replace("real", "doubles" if elements != [1] else "double")
@@ -424,37 +394,6 @@ class _Import:
         elif said.startswith("Inherit"):
             self.approximated.setdefault(key, []).append("inherits its type: taken for double")
         self.signals[*key, 1] = sized(kind, elements)
-
-    def _width_wanted(self, path: str, sid: str, depth: int) -> int:
-        """Return how many elements the Demux, Selector or MATLAB Function behind a port wants; 1 where none says it."""
-        sheet = self.sheets[path]
-        sinks = sheet.sinks.get(Pin(sid, "out", 1), [])
-        most = 1
-        for pin in sinks if depth < 20 else ():
-            block = sheet.system.blocks[pin.sid]
-            inner = f"{path}/{escaped(block.name)}".lstrip("/")
-            wanted = 1
-            if block.type == "Demux":
-                said = block.values.get("Outputs", "4")
-                wanted = block.ports[1] if block.ports and said.isdigit() else int(said) if said.isdigit() else 1
-            elif block.type == "Selector":
-                said = block.values.get("InputPortWidth", "1")
-                wanted = int(said) if said.isdigit() else 1
-            elif block.type in ("Gain", "StateSpace"):
-                name = "Gain" if block.type == "Gain" else "B"
-                with suppress(DiagramError, NotComputed):
-                    found = as_array(number(evaluate(block.values.get(name, "1"), sheet.names, name)))
-                    matrix = block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
-                    wanted = found.shape[1] if matrix else 1
-            elif block.type == "Goto":
-                froms = sheet.tagged.get(("From", block.values.get("GotoTag", "A")), [])
-                wanted = max((self._width_wanted(path, one, depth + 1) for one in froms), default=1)
-            elif inner in self.sheets and (port := self.sheets[inner].ports.get(("Inport", pin.number))) is not None:
-                wanted = self._width_wanted(inner, port, depth + 1)
-            elif block.kind == "MATLAB Function":
-                wanted = last_index(self.code.get(inner, ""), pin.number)
-            most = max(most, wanted)
-        return most
 
     def _source(self, path: str, pin: Pin) -> Output | None:
         """Return the output that drives an input on its sheet, through Goto and From; None where nothing does."""
@@ -624,7 +563,7 @@ class _Import:
             found = as_array(number(evaluate(values.get(name, "0"), self.sheets[key[0]].names, name)))
             size = found.shape[0] if name == "C" else found.size
         if size == 1 and name != "C":
-            size = self._width_wanted(*key, 0)
+            size = width_wanted(self.sheets, *key, self.code)
         queue, seen = [key], {key}
         for at in queue:
             for one in behind.get((*at, 1), ()):
@@ -641,7 +580,24 @@ class _Import:
 
     def _await(self, key: tuple[str, str], waiting: dict[tuple[str, str], set[Output]]) -> None:
         found = {self._origin(key[0], pin) for pin in self._inputs(key)}
-        waiting[key] = {one for one in found if one is not None}
+        if self._backwards(key):
+            found |= {self._origin(*one) for one in siblings(self.sheets, *key)}
+        waiting[key] = {one for one in found if one is not None and one[:2] != key}
+
+    def _backwards(self, key: tuple[str, str]) -> bool:
+        """Return True for a block whose type is that of what is behind it."""
+        block = self.blocks[key]
+        default = BACKWARDS if block.type in ("DataTypeConversion", "Ground") else ""
+        values = {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
+        return values.get("OutDataTypeStr", default) == BACKWARDS and block.kind in RULES
+
+    def _wanted(self, key: tuple[str, str]) -> str:
+        """Return the data type of what is behind a block: declared, or that of what it meets there; "" without one."""
+        declared = type_declared(self.sheets, *key)
+        if declared:
+            return declared
+        met = (self.signals.get(source) for one in siblings(self.sheets, *key) if (source := self._origin(*one)))
+        return next((type_text(signal) for signal in met if signal is not None), "")
 
     def _inputs(self, key: tuple[str, str]) -> list[Pin]:
         block = self.blocks[key]
@@ -662,6 +618,8 @@ class _Import:
             if block.kind in RULES:
                 check_inputs(block.kind, inputs)
             labels = [self._label(path, pin) for pin in self._inputs(key)]
+            if self._backwards(key) and (wanted := self._wanted(key)):
+                values["OutDataTypeStr"] = wanted
             dt = self.dt * self.rates.get(key, BASE).divider
             asked = Asked(block, path, values, self.sheets[path].names, inputs, dt, labels)
             made = rule(asked)

@@ -1,0 +1,140 @@
+"""A system of a Simulink model as the import asks it again and again: what drives a pin, and what stands behind one.
+
+Types that a block inherits from behind, and the widths of ports that say none, are those that the blocks behind want.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+
+from twodof.blocks import Diagram
+from twodof.blocks.bus import Bus
+from twodof.errors import DiagramError
+from twodof.slx.matlab import evaluate
+from twodof.slx.matlab_function import last_index
+from twodof.slx.matlab_values import NotComputed, Value, as_array, number
+from twodof.slx.model import Pin, SimulinkBlock, System, collapsed, escaped, port_number
+from twodof.slx.translation import Signal
+
+KEEPS_TYPE = (
+    *("Abs", "Bias", "Delay", "Gain", "Logic", "Memory", "Merge", "MinMax", "RateTransition", "Saturate", "Sum"),
+    *("SignalSpecification", "Switch", "UnaryMinus", "UnitDelay", "ZeroOrderHold"),
+)
+"""Types of blocks whose output has the type of what they combine."""
+BACKWARDS = "Inherit: Inherit via back propagation"
+_TEXTS = {"real": "double", "bool": "boolean"}
+
+
+class Sheet:
+    """A system with what is asked of it again and again: what drives a pin, who has a port's number, or a tag."""
+
+    def __init__(self, system: System, names: dict[str, Value], owner: tuple[str, str] | None) -> None:
+        self.system, self.names, self.owner = system, names, owner
+        self.diagram = Diagram("sheet")
+        self.parts: dict[str, str] = {}
+        self.helpers: dict[str, str] = {}
+        self.sources: dict[Pin, Pin] = {}
+        self.sinks: dict[Pin, list[Pin]] = {}
+        self.inputs: dict[str, int] = {}
+        for line in system.lines:
+            for pin in line.wire.sinks():
+                if pin.kind == "in":
+                    self.inputs[pin.sid] = max(self.inputs.get(pin.sid, 0), pin.number)
+                if line.source is not None:
+                    self.sources[pin] = line.source
+                    self.sinks.setdefault(line.source, []).append(pin)
+        self.labels = {line.source: line.name for line in system.lines if line.source is not None and line.name}
+        for sid, block in system.blocks.items():
+            for output, name in block.signals.items():
+                self.labels.setdefault(Pin(sid, "out", output), name)
+        self.ports: dict[tuple[str, int], str] = {}
+        self.tagged: dict[tuple[str, str], list[str]] = {}
+        for sid, block in system.blocks.items():
+            if block.type in ("Inport", "Outport"):
+                self.ports[block.type, port_number(block)] = sid
+            elif block.type in ("Goto", "From", "GotoTagVisibility"):
+                self.tagged.setdefault((block.type, block.values.get("GotoTag", "A")), []).append(sid)
+
+
+Sheets = Mapping[str, Sheet]
+"""The systems of a model by path."""
+
+
+def ends(sheets: Sheets, path: str, pin: Pin, depth: int = 0) -> Iterator[tuple[str, Pin, SimulinkBlock]]:
+    """Yield the blocks that an output drives, with the pins, through Goto and From, into subsystems and out of them."""
+    sheet = sheets[path]
+    for sink in sheet.sinks.get(pin, ()) if depth < 20 else ():
+        block = sheet.system.blocks.get(sink.sid)
+        if block is None or sink.kind != "in" or block.commented:
+            continue
+        inner = f"{path}/{escaped(block.name)}".lstrip("/")
+        port = sheets[inner].ports.get(("Inport", sink.number)) if inner in sheets else None
+        if block.type == "Goto":
+            for one in sheet.tagged.get(("From", block.values.get("GotoTag", "A")), []):
+                yield from ends(sheets, path, Pin(one, "out", 1), depth + 1)
+        elif port is not None:
+            yield inner, Pin(port, "in", 1), sheets[inner].system.blocks[port]
+            yield from ends(sheets, inner, Pin(port, "out", 1), depth + 1)
+        else:
+            yield path, sink, block
+            if block.type == "Outport" and sheet.owner is not None:
+                outer = Pin(sheet.owner[1], "out", port_number(block))
+                yield from ends(sheets, sheet.owner[0], outer, depth + 1)
+
+
+def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, str]) -> int:
+    """Return how many elements a block behind an output wants; 1 where none says it. `code` are MATLAB Functions."""
+    most = 1
+    for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
+        wanted = 1
+        if block.type == "Demux":
+            said = block.values.get("Outputs", "4")
+            wanted = block.ports[1] if block.ports and said.isdigit() else int(said) if said.isdigit() else 1
+        elif block.type == "Selector":
+            said = block.values.get("InputPortWidth", "1")
+            wanted = int(said) if said.isdigit() else 1
+        elif block.type in ("Gain", "StateSpace"):
+            name = "Gain" if block.type == "Gain" else "B"
+            with suppress(DiagramError, NotComputed):
+                found = as_array(number(evaluate(block.values.get(name, "1"), sheets[at].names, name)))
+                matrix = block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
+                wanted = found.shape[1] if matrix else 1
+        elif block.kind == "MATLAB Function":
+            wanted = last_index(code.get(f"{at}/{escaped(block.name)}".lstrip("/"), ""), pin.number)
+        most = max(most, wanted)
+    return most
+
+
+def siblings(sheets: Sheets, path: str, sid: str, depth: int = 0) -> Iterator[tuple[str, Pin]]:
+    """Yield the other inputs of the blocks behind an output that want one type of all their inputs."""
+    for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
+        if block.type in ("RelationalOperator", "Product") or block.type in KEEPS_TYPE:
+            data = [1, 3] if block.type == "Switch" else range(1, sheets[at].inputs.get(pin.sid, 1) + 1)
+            if pin.number in data:
+                yield from ((at, Pin(pin.sid, "in", k)) for k in data if k != pin.number)
+            if len(data) == 1 and depth < 20:
+                yield from siblings(sheets, at, pin.sid, depth + 1)
+
+
+def type_declared(sheets: Sheets, path: str, sid: str, depth: int = 0) -> str:
+    """Return the data type that a port or the element of a bus behind an output declares; "" without one."""
+    for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)) if depth < 5 else ():
+        found, said = "", collapsed(block.values.get("OutDataTypeStr", ""))
+        if block.type in ("Inport", "Outport") and not said.startswith("Inherit"):
+            found = said
+        elif block.type == "BusCreator" and said.startswith("Bus:"):
+            bus = sheets[at].names.get(said.partition(":")[2].strip())
+            elements = bus.get("Elements", []) if isinstance(bus, Mapping) else []
+            if isinstance(elements, list) and pin.number <= len(elements):
+                found = str(elements[pin.number - 1].get("DataType", ""))
+        elif block.type in KEEPS_TYPE and (block.type != "Switch" or pin.number != 2):
+            found = type_declared(sheets, at, pin.sid, depth + 1)
+        if found:
+            return found
+    return ""
+
+
+def type_text(signal: Signal) -> str:
+    """Return the data type of a signal as a file writes it."""
+    return (
+        f"Bus: {signal.kind.name}" if isinstance(signal.kind, Bus) else _TEXTS.get(str(signal.kind), str(signal.kind))
+    )
