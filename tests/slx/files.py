@@ -179,6 +179,9 @@ def parts(layout: str) -> dict[str, str]:
     }
 
 
+EVERY_SECOND = ("DigitalClock", "DiscreteIntegrator", "DiscretePulseGenerator", "DiscreteStateSpace", "UnitDelay",
+                "ZeroOrderHold")  # fmt: skip
+"""Types whose sample time a model names even where it is inherited."""
 Blocks = list[tuple[Any, ...]]
 """Blocks as (type, name, values), or with what is inside, (type, name, values, (blocks, lines))."""
 Lines = list[tuple[str, str]]
@@ -195,7 +198,8 @@ def system(blocks: Blocks, lines: Lines, prefix: str = "") -> str:
         return f"{ids[block]}#{kind}" if kind else f"{ids[name]}#{side}:{number or 1}"
 
     body = ""
-    for kind, name, values, *inner in blocks:
+    for kind, name, said, *inner in blocks:
+        values = {**({"SampleTime": "-1"} if kind in EVERY_SECOND else {}), **said}
         given = "".join(
             f'<P Name="{key}">{escape(value)}</P>' for key, value in values.items() if not key.startswith("Interface")
         )

@@ -196,7 +196,8 @@ def test_a_table_is_looked_up_as_mathworks_code_does(tmp_path: Path, count: int,
 
 def test_older_tables_and_even_breakpoints_are_read(tmp_path: Path) -> None:
     older = {"InputValues": "[-2 -1 0 3]", "Table": "[1 2.5 .3 4]", "LookUpMeth": "Interpolation-Use End Values"}
-    even = {"BreakpointsSpecification": "Even spacing", "BreakpointsForDimension1FirstPoint": "-1",
+    even = {"NumberOfTableDimensions": "1", "BreakpointsSpecification": "Even spacing",
+            "BreakpointsForDimension1FirstPoint": "-1",
             "BreakpointsForDimension1Spacing": ".5", "ExtrapMethod": "Clip", "Table": "[1 2 4 3]"}  # fmt: skip
     u = DRAWN[0]
     assert np.array_equal(
@@ -226,7 +227,11 @@ def sample(values: list[float]) -> np.ndarray:
             {"PulseType": "Sample based", "Period": "5", "PulseWidth": "2", "PhaseDelay": "3", "Amplitude": "4"},
             np.r_[0.0, 0.0, 0.0, sample([4.0, 4.0, 0.0, 0.0, 0.0])[:-3]],
         ),
-        ("DiscretePulseGenerator", {"Period": ".1", "PulseWidth": "30"}, sample([1.0] * 3 + [0.0] * 7)),
+        (
+            "DiscretePulseGenerator",
+            {"PulseType": "Time based", "Period": ".1", "PulseWidth": "30"},
+            sample([1.0] * 3 + [0.0] * 7),
+        ),
         ("simulink/Sources/Repeating Sequence Stair", {"OutValues": "[3 1 4]"}, sample([3.0, 1.0, 4.0])),
         ("simulink/Sources/Counter Free-Running", {"NumBits": "3"}, sample(list(range(8)))),
         ("simulink/Sources/Counter Limited", {"uplimit": "4"}, sample(list(range(5)))),

@@ -15,7 +15,7 @@ from scipy.io import savemat
 from scipy.signal import lfilter
 from typer.testing import CliRunner
 
-from tests.slx.files import slx, written
+from tests.slx.files import EVERY_SECOND, slx, written
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.cli.slx import slx as command
@@ -41,6 +41,7 @@ def model(blocks: list[tuple[str, str, dict[str, str]]], lines: list[tuple[str, 
 
     body = "".join(
         f'<Block BlockType="{kind}" Name="{name}" SID="{ids[name]}">'
+        + ('<P Name="SampleTime">-1</P>' if kind in EVERY_SECOND and "SampleTime" not in values else "")
         + "".join(f'<P Name="{key}">{escape(value)}</P>' for key, value in values.items())
         + "</Block>"
         for kind, name, values in blocks

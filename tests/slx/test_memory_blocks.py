@@ -146,3 +146,11 @@ def test_a_flip_flop_follows_its_table(tmp_path: Path) -> None:
         wanted.append(both)
     assert np.array_equal(np.c_[got["y1"], got["y2"]], wanted)
     assert len(set(zip(s.tolist(), r.tolist(), strict=True))) == 4
+
+
+def test_a_second_order_integrator_is_two_in_a_row(tmp_path: Path) -> None:
+    """A constant acceleration, which the solver integrates without an error of its own."""
+    got = run(tmp_path, "SecondOrderIntegrator", {"ICX": "1", "ICDXDT": "-2"}, [np.full(STEPS, 3.0)], 2)
+    t = np.arange(STEPS) * DT
+    assert np.allclose(got["y1"], 1.0 - 2.0 * t + 1.5 * t**2, rtol=0.0, atol=1e-12)
+    assert np.allclose(got["y2"], -2.0 + 3.0 * t, rtol=0.0, atol=1e-12)

@@ -3,12 +3,13 @@
 The wanted values follow Simulink's definitions step by step in numpy.
 """
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.slx.files import Blocks, Lines, model_of
+from tests.slx.files import Blocks, Lines, model_of, slx
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.slx.importer import Imported, import_system
@@ -348,3 +349,22 @@ def test_ports_of_bus_elements_are_one_port(tmp_path: Path) -> None:
     u, v = DRAWN[:2]
     got = flown(imported(tmp_path, blocks, lines), u=u, v=v)
     assert np.array_equal(got["y"], ((v - u) - 2.0 * u) + v)
+
+
+def test_what_a_file_leaves_out_is_simulinks_own_default(tmp_path: Path) -> None:
+    """A Unit Delay runs every second, a Math block is exp, unless the file says another value."""
+    blocks: Blocks = [
+        ("Inport", "u", {"SampleTime": "0.5", **REAL}),
+        ("UnitDelay", "z", {}),
+        ("Math", "exp", {}),
+        ("Outport", "y", {}),
+        ("Outport", "e", {"Port": "2"}),
+    ]
+    path = model_of(blocks, [("u", "z"), ("z", "y"), ("u", "exp"), ("exp", "e")], tmp_path / "m.slx")
+    with zipfile.ZipFile(path) as package:
+        text = package.read("simulink/blockdiagram.xml").decode().replace('<P Name="SampleTime">-1</P>', "")
+    found = import_system(read_model(slx({"simulink/blockdiagram.xml": text}, path)))
+    assert found.dt == 0.5
+    got = flown(found, u=DRAWN[0])
+    assert np.array_equal(got["y"], np.r_[0.0, 0.0, np.repeat(DRAWN[0][::2], 2)][:STEPS])
+    assert np.allclose(got["e"], np.exp(DRAWN[0]), rtol=1e-15)

@@ -24,10 +24,13 @@ from twodof.blocks.library import (
     DotProduct,
     Elementary,
     Gain,
+    Hypot,
     Logic,
     MatrixGain,
     Mux,
+    Power,
     Product,
+    Remainder,
     Rounding,
     Selector,
     Sign,
@@ -232,6 +235,17 @@ def _function(block: type[Any], functions: dict[str, str]) -> Rule:
     return made
 
 
+def _math(c: Asked) -> Made:
+    """Compute a function of one number, or of two by the language's own functions."""
+    name = c.text("Operator", "exp")
+    pairs = {"pow": Power, "mod": Remainder, "hypot": Hypot}
+    if name not in pairs:
+        return _function(Elementary, MATH)(c)
+    c.kind("real")
+    c.notes.append(f"{name} is the language's own: some units in the last place from the C library's")
+    return same(c, pairs[name](width=c.width))
+
+
 def _trigonometry(c: Asked) -> Made:
     c.kind("real")
     name = c.text("Operator", c.text("Function", "sin"))
@@ -280,7 +294,8 @@ def _dropped(c: Asked) -> Made:
 _KIND_OF = {"float64": "real", "float32": "real", **{name: name for name in ("bool", *INTEGERS)}}
 
 
-MATH = {"magnitude^2": "square", **{name: name for name in ("exp", "log", "square", "reciprocal", "sqrt")}}
+MATH = {**{name: name for name in ("exp", "log", "square", "reciprocal", "sqrt")}, "magnitude^2": "square"}
+"""The first one is that of a block that says none."""
 
 
 DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop", *SHOWN)
@@ -300,7 +315,7 @@ RULES: dict[str, Rule] = {
     "Gain": _gain,
     "Ground": lambda c: _constant(replace(c, values={"OutDataTypeStr": "double", **c.values, "Value": "0"})),
     "Logic": _logic,
-    "Math": _function(Elementary, MATH),
+    "Math": _math,
     "Mux": _mux,
     "Product": _product,
     "RateTransition": passes,

@@ -251,8 +251,8 @@ def _tapped(c: Asked) -> Made:
 
 
 def _pulse(c: Asked) -> Made:
-    samples = c.needs("PulseType", "Time based", "Time based", "Sample based") == "Sample based"
-    amplitude, period, width = c.scalar("Amplitude", "1"), c.scalar("Period", "10"), c.scalar("PulseWidth", "5")
+    samples = c.needs("PulseType", "Sample based", "Time based", "Sample based") == "Sample based"
+    amplitude, period, width = c.scalar("Amplitude", "1"), c.scalar("Period", "2"), c.scalar("PulseWidth", "1")
     delay = c.scalar("PhaseDelay", "0")
     if not samples:  # width is in % of the period
         period, width, delay = period / c.dt, period * width / 100.0 / c.dt, delay / c.dt
@@ -457,8 +457,8 @@ def _lookup(c: Asked) -> Made:
     }
     method = c.pick("InterpMethod", "Linear point-slope", methods | {"Flat": "flat", "Nearest": "nearest"})
     clip = c.pick("ExtrapMethod", "Linear", {"Clip": True, "None - Clip": True, "Linear": False})
-    count = int(c.scalar("NumberOfTableDimensions", "1"))
-    table, points = c.value("Table", "tanh([-5:5])"), []
+    count = int(c.scalar("NumberOfTableDimensions", "2"))
+    table, points = c.value("Table", "[4 5 6;16 19 20;10 18 23]"), []
     sizes = [table.size] if count == 1 else list(table.shape)
     if count > 2 or len(c.inputs) != count:
         raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
@@ -467,7 +467,7 @@ def _lookup(c: Asked) -> Made:
             first, step = (c.scalar(f"BreakpointsForDimension{k}{end}", "1") for end in ("FirstPoint", "Spacing"))
             points.append([first + step * n for n in range(size)])
         else:
-            points.append(c.value(f"BreakpointsForDimension{k}", "[-5:5]").flatten().tolist())
+            points.append(c.value(f"BreakpointsForDimension{k}", "[10,22,31]").flatten().tolist())
     return _table(c, points, table.flatten(order="F").tolist(), method, clip)
 
 
@@ -476,8 +476,9 @@ def _older_lookup(c: Asked) -> Made:
              "Use Input Nearest": ("nearest", True), "Use Input Below": ("flat", True)}  # fmt: skip
     method, clip = c.pick("LookUpMeth", "Interpolation-Extrapolation", known)
     names = ("RowIndex", "ColumnIndex") if c.block.type == "Lookup2D" else ("InputValues",)
-    table = c.value("Table" if "Table" in c.values or len(names) > 1 else "OutputValues", "tanh([-5:5])")
-    points = [c.value(name, "[-5:5]").flatten().tolist() for name in names]
+    flat = len(names) == 1
+    table = c.value("OutputValues" if "OutputValues" in c.values else "Table", "tanh([-4:5])" if flat else "[0 0;0 0]")
+    points = [c.value(name, "[-4:5]" if flat else "[0 1]").flatten().tolist() for name in names]
     return _table(c, points, table.flatten(order="F").tolist(), method, clip)
 
 
@@ -495,7 +496,7 @@ def _table(c: Asked, points: list[list[float]], table: list[float], method: str,
 
 def _expression(c: Asked) -> Made:
     """Return an expression of u; the names of the workspace in it are its constants."""
-    text = c.text("Expr", c.text("MATLABFcn", "sin(u)"))
+    text = c.text("MATLABFcn", "sin") if c.block.type == "MATLABFcn" else c.text("Expr", "sin(u[1])")
     text = re.sub(r"\bu\[(\d+)\]", r"u(\1)", text)
     text = text if re.search(r"\bu\b", text) else f"{text}(u)"
     known = [name for name in names_in(text) if name in c.names and name != "u"]

@@ -234,7 +234,7 @@ def _pid(c: Asked) -> Made:
 def _rational(c: Asked) -> tuple[list[float], list[float]]:
     for name in ("NumeratorSource", "DenominatorSource", "InitialStatesSource"):
         c.needs(name, "Dialog", "Dialog")
-    default = "[1 0.5]" if c.block.type.startswith("Discrete") else "[1 1]"
+    default = "[1 0.5]" if c.block.type.startswith("Discrete") else "[1 2 1]"
     top, bottom = c.value("Numerator", "[1]"), c.value("Denominator", default)
     if 1 not in top.shape or 1 not in bottom.shape:
         raise NotTranslated("Numerator is a matrix")
@@ -330,6 +330,27 @@ def _integrator(c: Asked) -> Made:
     return _integral(c, integrator)
 
 
+def _second_order(c: Asked) -> Made:
+    """Return two integrators in a row: the position, and its rate."""
+    for name, default in (
+        ("ICSourceX", "internal"),
+        ("ICSourceDXDT", "internal"),
+        ("LimitX", "off"),
+        ("LimitDXDT", "off"),
+    ):
+        c.needs(name, default, default)
+    c.needs("ExternalReset", "none", "none")
+    c.kind("real")
+    d, signals = Diagram("second_order"), {"x": Signal("real", c.width), "rate": Signal("real", c.width)}
+    d.input("u", width=c.width)
+    d.add("rate", Integrator(c.scalar("ICDXDT", "0.0"), None, c.width), u="u")
+    d.add("x", Integrator(c.scalar("ICX", "0.0"), None, c.width), u="rate")
+    shown = c.pick("ShowOutput", "both", {"both": ["x", "rate"], "x": ["x"], "dx": ["rate"]})
+    for name in shown:
+        d.output(f"y_{name}", name)
+    return Made(d, [signals[name] for name in shown])
+
+
 def _state_space(c: Asked) -> Made:
     c.kind("real")
     a, b, cc, d = (c.value(name, "1") for name in "ABCD")
@@ -400,12 +421,13 @@ DYNAMIC_RULES: dict[str, Rule] = {
     "PID Controller": each(_pid),
     "RandomNumber": _noise,
     "Relay": each(_relay),
+    "SecondOrderIntegrator": _second_order,
     "StateSpace": _state_space,
     "Step": _step,
     "TransferFcn": each(_transfer),
     "TransportDelay": each(_transport_delay),
     "UnitDelay": _unit_delay,
 }
-STATEFUL = ("UnitDelay", "Memory", "Delay", "DiscreteIntegrator", "Integrator", "TransferFcn", "StateSpace",
-            "TransportDelay")  # fmt: skip
+STATEFUL = ("UnitDelay", "Memory", "Delay", "DiscreteIntegrator", "Integrator", "SecondOrderIntegrator", "TransferFcn",
+            "StateSpace", "TransportDelay")  # fmt: skip
 """Types whose output may be known before their input: where a loop is broken."""

@@ -35,7 +35,7 @@ from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
 from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, port_number, read_model
-from twodof.slx.rates import CONTINUOUS, base_period, inherited
+from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, plain
 
@@ -304,9 +304,12 @@ class _Import:
         """Return the base period [s], and note the blocks' own times. Raises DiagramError where there is none."""
         found: dict[float, str] = {}
         for key, block in self.blocks.items():
-            values = {**block.values, **block.instance}
-            text = values.get("OutPortSampleTime" if block.type == "RateTransition" else "SampleTime", "-1")
-            if text in ("-1", "inf", "[-1, 0]", "") or block.type in DROPPED or block.commented:
+            values = {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
+            wanted = "OutPortSampleTime" if block.type == "RateTransition" else "SampleTime"
+            text = values.get(wanted, "1" if block.type in EVERY_SECOND else "-1")
+            timed = block.type == "DiscretePulseGenerator" and values.get("PulseType", "Sample based") == "Time based"
+            silent = timed or block.commented or block.type in (*DROPPED, *CONTROL_PORTS)
+            if text in ("-1", "inf", "[-1, 0]", "") or silent:
                 continue
             where = f"{key[0]}/{escaped(block.name)}".lstrip("/")
             try:

@@ -18,6 +18,10 @@ CONTINUOUS = ("Integrator", "SecondOrderIntegrator", "TransferFcn", "StateSpace"
               "TransportDelay")  # fmt: skip
 """Types whose step is the solver's."""
 
+EVERY_SECOND = ("DigitalClock", "DiscreteIntegrator", "DiscretePulseGenerator", "DiscreteStateSpace", "UnitDelay",
+                "ZeroOrderHold")  # fmt: skip
+"""Types with a sample time of 1 s where the file does not say it."""
+
 
 def base_period(times: Mapping[float, str], given: float | None = None) -> float:
     """Return the longest period [s] of which all `times` are multiples, or the `given` one; each has a place's name.
