@@ -7,26 +7,24 @@ report says for each block whether it was imported, approximated, dropped or ref
 
 import re
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from twodof.blocks import Diagram
-from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.bus import Bus
-from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, Rate
-from twodof.blocks.library import Constant, Logic, Merge, RateTransition, ZeroOrderHold
+from twodof.blocks.library import RateTransition
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, INPUTS, RULES, check_inputs
+from twodof.slx.blocks import DROPPED, RULES, check_inputs
 from twodof.slx.bus_ports import with_bus_ports
-from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition, ControlEdge, conditions_of
+from twodof.slx.conditions import CONTROL_PORTS, conditions_of
+from twodof.slx.connections import PASSING, Output, ReportLine
 from twodof.slx.data_types import kind_of, sized
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
@@ -34,28 +32,15 @@ from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
-from twodof.slx.model import Model, Pin, SimulinkBlock, System, collapsed, escaped, port_number, read_model
+from twodof.slx.model import Model, SimulinkBlock, System, collapsed, escaped, read_model
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, plain
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
+from twodof.slx.wiring import Wiring
 
-Output = tuple[str, str, int]
-"""An output of a block: path of its system, identifier and number."""
-_PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED)
 MOST_GUESSES = 5
 """How often the types of loops are guessed anew."""
 _SINGLE = "single: computed in the precision of the build"
-
-
-@dataclass(frozen=True)
-class ReportLine:
-    """A line of the report: block path, its kind, what became of it, and why."""
-
-    path: str
-    kind: str
-    status: str
-    """`imported`, `approximated`, `dropped`, `refused`, or `not reached`: it hangs on what is refused."""
-    why: str = ""
 
 
 @dataclass
@@ -88,29 +73,18 @@ def import_system(
     return _Import(model, path, dict(workspace or {}), folders, dt).run()
 
 
-class _Import:
+class _Import(Wiring):
     def __init__(
         self, model: Model, path: str, workspace: dict[str, Value], folders: Sequence[Path], dt: float | None
     ) -> None:
-        self.model, self.path, self.folders = model, collapsed(path).strip("/"), folders
-        self.report: list[ReportLine] = []
+        super().__init__(model, path)
+        self.folders, self.given_dt = folders, dt
         self.notes = list[str]()
         self.libraries: dict[str, Model | None] = {}
         self.names = {**self._names_of(model), **workspace}
-        self.defaults = {self.path: model.defaults}
-        self.sheets: dict[str, Sheet] = {}
-        self.conditions: dict[str, list[Condition]] = {}
         self.referenced: dict[str, dict[str, Value]] = {}
-        self.beyond: dict[tuple[str, str], Output] = {}
         self.times: dict[tuple[str, str], tuple[float, float]] = {}
-        self.rates: dict[tuple[str, str], Rate] = {}
-        self.held: dict[tuple[str, str], Rate] = {}
         self.code = {collapsed(one.path): one.text for one in model.charts if one.function}
-        self.blocks: dict[tuple[str, str], SimulinkBlock] = {}
-        self.made: dict[tuple[str, str], Made] = {}
-        self.signals: dict[tuple[str, str, int], Signal] = {}
-        self.approximated: dict[tuple[str, str], list[str]] = {}
-        self.given_dt = dt
 
     def _names_of(self, model: Model) -> dict[str, Value]:
         """Return the names that a model's dictionary and callbacks give."""
@@ -346,7 +320,7 @@ class _Import:
         for key, block in self.blocks.items():
             if block.type in CONTINUOUS:
                 declared[key] = BASE
-            if block.type not in _PASSING and not self._is_system(block) and not block.commented:
+            if block.type not in PASSING and not self._is_system(block) and not block.commented:
                 with suppress(NotTranslated):  # refused with the types
                     self._await(key, sources)
         feeding = {key: {one[:2] for one in found} for key, found in sources.items()}
@@ -360,21 +334,7 @@ class _Import:
                 declared[key] = next(iter(fed)) or BASE if len(fed) == 1 else BASE
         self.rates = inherited(declared, feeding)
 
-    def _rate(self, key: tuple[str, str]) -> Rate | None:
-        """Return the rate at which a block's output changes; None of a constant."""
-        block = self.blocks[key]
-        if block.type in ("Inport", "InportShadow"):
-            return BASE
-        return None if block.type in ("Constant", "Ground") else self.held.get(key) or self.rates.get(key, BASE)
-
     # --- the types of the signals
-
-    def _try(self, key: tuple[str, str], step: Callable[[], None]) -> None:
-        """Take a step of the translation of a block; refuse the block where that fails."""
-        try:
-            step()
-        except (NotTranslated, NotComputed, DiagramError) as reason:
-            self._refuse(key, reason.what if isinstance(reason, DiagramError) else str(reason))
 
     def _inport(self, key: tuple[str, str], block: SimulinkBlock) -> None:
         names = self.sheets[key[0]].names
@@ -398,79 +358,6 @@ class _Import:
             self.approximated.setdefault(key, []).append("inherits its type: taken for double")
         self.signals[*key, 1] = sized(kind, elements)
 
-    def _source(self, path: str, pin: Pin) -> Output | None:
-        """Return the output that drives an input on its sheet, through Goto and From; None where nothing does."""
-        sheet = self.sheets[path]
-        for _ in range(200):
-            source = sheet.sources.get(pin)
-            if source is None or source.kind != "out" or source.sid not in sheet.system.blocks:
-                return None
-            block = sheet.system.blocks[source.sid]
-            if block.commented:
-                if block.values["Commented"] != "through":
-                    return None
-                pin = Pin(source.sid, "in", source.number)
-            elif block.type == "From":
-                path, goto = self._goto(path, block.values.get("GotoTag", "A"))
-                sheet, pin = self.sheets[path], Pin(goto, "in", 1)
-            else:
-                return path, source.sid, source.number
-        raise NotTranslated("From and Goto blocks lead in a circle")
-
-    def _goto(self, path: str, tag: str) -> tuple[str, str]:
-        """Return the Goto of a tag: that of the sheet, else one that is seen from it, scoped or global."""
-        gotos = [(path, sid) for sid in self.sheets[path].tagged.get(("Goto", tag), [])]
-        if not gotos:
-            scopes = [at for at in self.sheets if self.sheets[at].tagged.get(("GotoTagVisibility", tag))]
-            scopes = [at for at in scopes if f"{path}/".startswith(f"{at}/".lstrip("/"))]
-            for at, sheet in self.sheets.items():
-                for sid in sheet.tagged.get(("Goto", tag), []):
-                    seen = sheet.system.blocks[sid].values.get("TagVisibility", "local")
-                    scoped = scopes and f"{at}/".startswith(f"{max(scopes, key=len)}/".lstrip("/"))
-                    gotos += [(at, sid)] if seen == "global" or (seen == "scoped" and scoped) else []
-        if len(gotos) != 1:
-            raise NotTranslated(f"{len(gotos)} Goto blocks with the tag {tag} are seen from this system")
-        return gotos[0]
-
-    def _label(self, path: str, pin: Pin) -> str:
-        """Return the name of the signal at an input: of its line, or of the element that a BusSelector takes out."""
-        source = self.sheets[path].sources.get(pin)
-        return "" if source is None else self.sheets[path].labels.get(source, "").strip("<>")
-
-    def _origin(self, path: str, pin: Pin) -> Output | None:
-        """Return the output of a block that drives an input, out of and into subsystems; None where nothing does."""
-        return self._resolved(self._source(path, pin))
-
-    def _resolved(self, source: Output | None) -> Output | None:
-        """Return the output of a block that is behind that of a subsystem or an Inport; None where nothing is."""
-        for _ in range(1000):
-            if source is None:
-                return None
-            path, sid, output = source
-            sheet = self.sheets[path]
-            block = sheet.system.blocks[sid]
-            inner = f"{path}/{escaped(block.name)}".lstrip("/")
-            if inner in self.sheets and self._is_system(block):
-                port = self.sheets[inner].ports.get(("Outport", output))
-                source = None if port is None else self._source(inner, Pin(port, "in", 1))
-            elif block.type in ("Inport", "InportShadow") and sheet.owner is not None:
-                source = self._source(sheet.owner[0], Pin(sheet.owner[1], "in", port_number(block)))
-            else:
-                return source
-        raise NotTranslated("subsystems lead in a circle")
-
-    def _type(self, path: str, pin: Pin) -> Signal | None:
-        """Return the type of what drives an input: of nothing a scalar 0; None where it is not known yet."""
-        origin = self._origin(path, pin)
-        return Signal() if origin is None else self.signals.get(origin)
-
-    @staticmethod
-    def _is_system(block: SimulinkBlock) -> bool:
-        return block.type in ("SubSystem", "Reference", "ModelReference") and block.kind not in (
-            *RULES,
-            "MATLAB Function",
-        )
-
     def _infer(self) -> None:
         """Find the types of all signals. In a loop that of a state is guessed, and all found anew if that was wrong."""
         lines, signals, made = len(self.report), dict(self.signals), dict(self.made)
@@ -493,7 +380,7 @@ class _Import:
         waiting: dict[tuple[str, str], set[Output]] = {}
         behind: dict[Output, list[tuple[str, str]]] = {}
         for key, block in self.blocks.items():
-            if block.type not in _PASSING and not self._is_system(block) and not block.commented:
+            if block.type not in PASSING and not self._is_system(block) and not block.commented:
                 self._try(key, partial(self._await, key, waiting))
         for key, origins in waiting.items():
             for origin in origins:
@@ -602,12 +489,6 @@ class _Import:
         met = (self.signals.get(source) for one in siblings(self.sheets, *key) if (source := self._origin(*one)))
         return next((type_text(signal) for signal in met if signal is not None), "")
 
-    def _inputs(self, key: tuple[str, str]) -> list[Pin]:
-        block = self.blocks[key]
-        least = max(self.sheets[key[0]].inputs.get(key[1], 0), INPUTS.get(block.type, 1))
-        count = least if block.ports is None else block.ports[0]
-        return [Pin(key[1], "in", k + 1) for k in range(count)]
-
     def _translate(self, key: tuple[str, str]) -> None:
         """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
         block, path = self.blocks[key], key[0]
@@ -664,247 +545,6 @@ class _Import:
 
         return made
 
-    def _refuse(self, key: tuple[str, str], why: str) -> None:
-        self._line(*key, "refused", why)
-        self.made[key] = Made(None, [])
-
-    def _line(self, path: str, sid: str, status: str, why: str) -> None:
-        block = self.blocks[path, sid]
-        self.report.append(ReportLine(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
-
-    # --- the diagram
-
-    def _diagram(self, path: str) -> Diagram:
-        system = self.sheets[path].system
-        title = re.split(r"(?<!/)/(?!/)", path)[-1] if path else self.model.name
-        diagram = Diagram(_safe(title, set()), f"{self.model.name}/{path}".rstrip("/"))
-        names = self.sheets[path].parts
-        self.sheets[path].diagram = diagram
-        taken: set[str] = set()
-        for sid, block in self._ordered(system):
-            names[sid] = _safe(block.name, taken)
-            taken.add(names[sid])
-        outports = [(sid, block) for sid, block in self._ordered(system) if block.type == "Outport"]
-        for sid, block in self._ordered(system):
-            if block.type == "Inport":
-                owner = self.sheets[path].owner
-                outer = None if owner is None else self._type(owner[0], Pin(owner[1], "in", port_number(block)))
-                signal = outer or self.signals.get((path, sid, 1)) or Signal()
-                diagram.declare(signal.port(names[sid]))
-                self._report(path, sid, "imported")
-        for sid, block in system.blocks.items():
-            self._try((path, sid), partial(self._add, diagram, path, sid, block, names))
-        for sid, block in system.blocks.items():
-            self._try((path, sid), partial(self._wire, diagram, path, sid, block, names))
-        for sid, _ in outports:
-            source = self._name(path, self._source(path, Pin(sid, "in", 1)), names, diagram)
-            if "." not in source and source not in diagram.parts:  # an output of a diagram is fed by a part
-                signal = self._type(path, Pin(sid, "in", 1)) or Signal()
-                passed = _safe(f"{source}_passed", taken)
-                diagram.add(passed, ZeroOrderHold(signal.kind, signal.width))
-                diagram.connect(source, passed)
-                source = passed
-            diagram.output(names[sid], source)
-            self._report(path, sid, "imported")
-        return diagram
-
-    @staticmethod
-    def _ordered(system: System) -> Iterator[tuple[str, SimulinkBlock]]:
-        """Yield the ports by number, then the other blocks, so that names are the ports' first."""
-
-        def rank(item: tuple[str, SimulinkBlock]) -> tuple[int, int]:
-            kinds = {"Inport": 0, "Outport": 1}
-            return kinds.get(item[1].type, 2), port_number(item[1]) if item[1].type in kinds else 0
-
-        return iter(sorted(system.blocks.items(), key=rank))
-
-    def _add(self, diagram: Diagram, path: str, sid: str, block: SimulinkBlock, names: Mapping[str, str]) -> None:
-        inner = f"{path}/{escaped(block.name)}".lstrip("/")
-        if block.commented:
-            self._report(path, sid, "dropped", "commented out")
-            return
-        if block.type in _PASSING:
-            if block.type not in ("Inport", "Outport"):
-                self._report(path, sid, "imported")
-            return
-        if self._is_system(block):
-            diagram.add(names[sid], self._diagram(inner), initial=self._initial(inner), position=_corner(block))
-            self._report(path, sid, "imported")
-            return
-        made = self.made[path, sid]
-        if made.item is None:
-            self._report(path, sid, "dropped", "it shows or keeps a signal and computes nothing")
-            return
-        diagram.add(names[sid], made.item, rate=self._rate((path, sid)) or BASE, position=_corner(block))
-        self._report(path, sid, "imported")
-
-    def _wire(self, diagram: Diagram, path: str, sid: str, block: SimulinkBlock, names: Mapping[str, str]) -> None:
-        name = names[sid]
-        if name not in diagram.parts:
-            return
-        item = diagram.parts[name].item
-        made = self.made.get((path, sid), Made(None, []))
-        ports = _port_names(item.inputs)
-        if isinstance(item, Diagram):
-            self._condition(path, sid, f"{path}/{escaped(block.name)}".lstrip("/"))
-        if isinstance(item, Merge):
-            for letter, pin in zip(item.names, self._inputs((path, sid)), strict=True):
-                diagram.connect(self._acts(path, pin), f"{name}.{letter}_acts")
-            ports = list(item.names)
-        width = None
-        if made.expand and made.item is not None and made.outputs and not isinstance(item, Diagram):
-            width = next((port.width for port in item.inputs if port.width is not None and "." not in port.name), None)
-        for k, port in enumerate(ports):
-            pin = Pin(sid, "in", k + 1)
-            inner = f"{path}/{escaped(block.name)}".lstrip("/")
-            if isinstance(item, Diagram) and (inner, port) in self.beyond:
-                diagram.connect(self._name(path, self.beyond[inner, port], names, diagram), f"{name}.{port}")
-                continue
-            source = self._name(path, self._source(path, pin), names, diagram)
-            signal = self._type(path, pin) or Signal()
-            if made.expand and width is not None and signal.width is None:
-                source = expanded(diagram, source, signal, width)
-            source = self._sampled(path, sid, pin, source)
-            diagram.connect(source, f"{name}.{port}")
-
-    def _initial(self, path: str) -> dict[str, Any]:
-        """Return what the outputs of a conditional subsystem are before it acts, where the file says it."""
-        found: dict[str, Any] = {}
-        sheet = self.sheets[path]
-        for sid, block in sheet.system.blocks.items():
-            if block.type == "Outport" and self.conditions.get(path):
-                said = {**self.defaults[path].get("Outport", {}), **block.values}.get("InitialOutput", "[]")
-                values = as_array(number(evaluate(said, sheet.names, "InitialOutput"))).flatten()
-                if values.size:
-                    signal = self._type(path, Pin(sid, "in", 1)) or Signal()
-                    given = [plain(v, signal.kind) for v in values]
-                    whole = given * (signal.width or 1) if len(given) == 1 else given
-                    found[sheet.parts[sid]] = given[0] if signal.width is None else whole
-        return found
-
-    def _condition(self, path: str, sid: str, inner: str) -> None:
-        """Connect what makes a subsystem act, start afresh, or have its initial outputs while it does not act."""
-        sheet = self.sheets[path]
-        part = sheet.diagram.parts[sheet.parts[sid]]
-        for one in self.conditions.get(inner, ()):
-            flag = self._flag(path, sid, one)
-            if one.pin == "reset":
-                part.reset = flag
-                continue
-            part.enable, part.enabling = flag, "restart" if one.restart else "keep"
-            outports = [b for b in self.sheets[inner].system.blocks.values() if b.type == "Outport"]
-            resets = [b for b in outports if b.values.get("OutputWhenDisabled", "held") == "reset"]
-            if resets and one.pin != "trigger":
-                if len(resets) < len(outports):
-                    raise NotTranslated("some of its outputs are held and some reset while it is disabled")
-                part.disabled = "reset"
-
-    def _flag(self, path: str, sid: str, condition: Condition) -> str:
-        """Return the source of the bool that makes a subsystem act; it is made if there is none yet."""
-        sheet, pin = self.sheets[path], Pin(sid, condition.pin, 1)
-        source = self._name(path, self._source(path, pin), sheet.parts, sheet.diagram)
-        signal = self._type(path, pin) or Signal()
-        if signal.width is not None:
-            raise NotTranslated(f"its {condition.pin} is a vector")
-        if signal.kind == "bool" and condition.edge in ("", "level hold"):
-            return source
-        edge = ControlEdge(condition.edge, signal.number, condition.pin == "reset")
-        return self._helper(path, f"{sheet.parts[sid]}_{condition.pin}s", edge, source)
-
-    def _helper(self, path: str, wanted: str, block: LibraryBlock, *sources: str, rate: Rate = BASE) -> str:
-        """Return the output of a block that no Simulink block stands for, added once to a sheet's diagram."""
-        sheet = self.sheets[path]
-        if wanted not in sheet.helpers:
-            name = _safe(wanted, {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()})
-            ports = [port.name for port in block.inputs]
-            sheet.diagram.add(name, block, rate=rate, inputs=dict(zip(ports, sources, strict=True)))
-            sheet.helpers[wanted] = f"{name}.{block.outputs[0].name}"
-        return sheet.helpers[wanted]
-
-    def _acts(self, path: str, pin: Pin) -> str:
-        """Return the source of the bool that says whether what drives an input of a Merge acts."""
-        sheet, source = self.sheets[path], self._source(path, pin)
-        if source is None:
-            raise NotTranslated("nothing drives an input")
-        block = self.blocks[source[:2]]
-        inner = f"{path}/{escaped(block.name)}".lstrip("/")
-        acting = [one for one in self.conditions.get(inner, ()) if one.pin != "reset"] if source[0] == path else []
-        if acting:
-            return self._flag(path, source[1], acting[0])
-        if block.type == "Merge" and source[0] == path:
-            inputs = [self._acts(path, one) for one in self._inputs((path, source[1]))]
-            return self._helper(path, f"{sheet.parts[source[1]]}_acts", Logic("or", len(inputs)), *inputs)
-        if (
-            source[0] == path
-            and self._is_system(block)
-            and (out := self.sheets[inner].ports.get(("Outport", source[2])))
-        ):
-            within = self._acts(inner, Pin(out, "in", 1))
-            diagram, name = self.sheets[inner].diagram, f"{self.sheets[inner].parts[out]}_acts"
-            if name not in diagram.outputs:
-                diagram.output(name, within)
-            return f"{sheet.parts[source[1]]}.{name}"
-        raise NotTranslated(f"its input {pin.number} is not the output of a conditional subsystem")
-
-    def _sampled(self, path: str, sid: str, pin: Pin, source: str) -> str:
-        """Return a source for a block of another rate: it reads the signal at its own ticks."""
-        origin = self._origin(path, pin)
-        if self._is_system(self.blocks[path, sid]):
-            return source
-        before, own = None if origin is None else self._rate(origin[:2]), self._rate((path, sid)) or BASE
-        if before in (None, own):
-            return source
-        signal = self._type(path, pin) or Signal()
-        wanted = f"{source.replace('.', '_')}_every_{own.divider}" + (f"_{own.offset}" if own.offset else "")
-        return self._helper(path, wanted, ZeroOrderHold(signal.kind, signal.width), source, rate=own)
-
-    def _name(self, path: str, source: tuple[str, str, int] | None, names: Mapping[str, str], diagram: Diagram) -> str:
-        """Return the source's name in the diagram; an unconnected input is 0, as in Simulink."""
-        if source is None:
-            if "ground" not in diagram.parts:
-                diagram.add("ground", Constant(0.0))
-            return "ground"
-        if source[0] != path:
-            block, owner = self.blocks[source[:2]], self.sheets[source[0]].owner
-            if block.type in ("Inport", "InportShadow") and owner is not None:  # what drives it is as good
-                return self._name(path, self._source(owner[0], Pin(owner[1], "in", port_number(block))), names, diagram)
-            return self._reach(path, source)
-        _, sid, output = source
-        block = self.blocks[path, sid]
-        if block.type in ("Inport", "InportShadow"):
-            shown = self.sheets[path].ports.get(("Inport", port_number(block)))
-            return names[shown or sid]
-        return f"{names[sid]}.{_port_names(diagram.parts[names[sid]].item.outputs)[output - 1]}"
-
-    def _reach(self, path: str, source: Output) -> str:
-        """Return a sheet's name for an output of another sheet: it leads out of and into the systems between."""
-        sheet, place = self.sheets[path], source[0]
-        if place.startswith(f"{path}/".lstrip("/")):
-            owners = {one: self.sheets[one].owner for one in self.sheets if f"{place}/".startswith(f"{one}/")}
-            below, part = next((one, sheet.parts[of[1]]) for one, of in owners.items() if of and of[0] == path)
-            inner = self.sheets[below]
-            within = self._name(below, source, inner.parts, inner.diagram)
-            wanted = f"{within.replace('.', '_')}_out"
-            if wanted not in inner.helpers:
-                inner.helpers[wanted] = _safe(wanted, {*inner.diagram.outputs, *inner.parts.values()})
-                inner.diagram.output(inner.helpers[wanted], within)
-            return f"{part}.{inner.helpers[wanted]}"
-        wanted = f"{'_'.join(source[:2])}_{source[2]}_in"
-        if wanted not in sheet.helpers:
-            taken = {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()}
-            name = sheet.helpers[wanted] = _safe(f"from_{self.blocks[source[:2]].name}", taken)
-            self.beyond[path, name] = source
-            origin = self._resolved(source)
-            signal = Signal() if origin is None else self.signals[origin]
-            sheet.diagram.declare(signal.port(name))
-        return sheet.helpers[wanted]
-
-    def _report(self, path: str, sid: str, status: str, why: str = "") -> None:
-        notes = self.approximated.get((path, sid), [])
-        if notes and status == "imported":
-            status, why = "approximated", "; ".join(notes)
-        self._line(path, sid, status, why)
-
 
 def _with_ports(system: System) -> System:
     """Return a system whose From Workspace blocks are inputs and To Workspace blocks outputs, behind those it has."""
@@ -918,23 +558,3 @@ def _with_ports(system: System) -> System:
                 values = {"Port": str(number), "Position": block.values.get("Position", "")}
                 blocks[sid] = SimulinkBlock(port, block.values.get("VariableName", "sim"), sid, values)
     return System(blocks, system.lines)
-
-
-def _port_names(ports: Iterable[str | Port]) -> list[str]:
-    """Return the names of a part's inputs or outputs; a bus is one."""
-    names = [port if isinstance(port, str) else port.name for port in ports]
-    return list(dict.fromkeys(name.partition(".")[0] for name in names))
-
-
-def _corner(block: SimulinkBlock) -> tuple[float, float] | None:
-    place = block.place
-    return None if place is None else place[:2]
-
-
-def _safe(name: str, taken: set[str]) -> str:
-    """Return a legal name near to a block's that is not taken."""
-    plain = re.sub(r"^(?![A-Za-z])", "b", re.sub(r"\W+", "_", collapsed(name), flags=re.ASCII).strip("_"))[:50] or "b"
-    made, k = plain, 2
-    while made in taken:
-        made, k = f"{plain}_{k}", k + 1
-    return made

@@ -1,0 +1,150 @@
+"""What an import knows of a model: its sheets, blocks and signals, and what drives an input wherever that stands."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from twodof.blocks.diagram import BASE, Rate
+from twodof.errors import DiagramError
+from twodof.slx.blocks import INPUTS, RULES
+from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition
+from twodof.slx.matlab_values import NotComputed
+from twodof.slx.model import Model, Pin, SimulinkBlock, collapsed, escaped, port_number
+from twodof.slx.sheet import Sheet
+from twodof.slx.translation import Made, NotTranslated, Signal
+
+Output = tuple[str, str, int]
+"""An output of a block: path of its system, identifier and number."""
+PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED)
+"""Types that only pass signals on, or say when a system acts."""
+
+
+@dataclass(frozen=True)
+class ReportLine:
+    """A line of the report: block path, its kind, what became of it, and why."""
+
+    path: str
+    kind: str
+    status: str
+    """`imported`, `approximated`, `dropped`, `refused`, or `not reached`: it hangs on what is refused."""
+    why: str = ""
+
+
+class Connections:
+    """The sheets of a model by path, their blocks by path and identifier, and what was found of them so far."""
+
+    def __init__(self, model: Model, path: str) -> None:
+        self.model, self.path = model, collapsed(path).strip("/")
+        self.report: list[ReportLine] = []
+        self.defaults = {self.path: model.defaults}
+        self.sheets: dict[str, Sheet] = {}
+        self.conditions: dict[str, list[Condition]] = {}
+        self.beyond: dict[tuple[str, str], Output] = {}
+        """Outputs that lead into a sheet from another one, by its path and the name of the input made for them."""
+        self.rates: dict[tuple[str, str], Rate] = {}
+        self.held: dict[tuple[str, str], Rate] = {}
+        """Rates of Rate Transitions whose input is slower."""
+        self.blocks: dict[tuple[str, str], SimulinkBlock] = {}
+        self.made: dict[tuple[str, str], Made] = {}
+        self.signals: dict[Output, Signal] = {}
+        self.approximated: dict[tuple[str, str], list[str]] = {}
+
+    def _try(self, key: tuple[str, str], step: Callable[[], None]) -> None:
+        """Take a step of the translation of a block; refuse the block where that fails."""
+        try:
+            step()
+        except (NotTranslated, NotComputed, DiagramError) as reason:
+            self._refuse(key, reason.what if isinstance(reason, DiagramError) else str(reason))
+
+    def _source(self, path: str, pin: Pin) -> Output | None:
+        """Return the output that drives an input on its sheet, through Goto and From; None where nothing does."""
+        sheet = self.sheets[path]
+        for _ in range(200):
+            source = sheet.sources.get(pin)
+            if source is None or source.kind != "out" or source.sid not in sheet.system.blocks:
+                return None
+            block = sheet.system.blocks[source.sid]
+            if block.commented:
+                if block.values["Commented"] != "through":
+                    return None
+                pin = Pin(source.sid, "in", source.number)
+            elif block.type == "From":
+                path, goto = self._goto(path, block.values.get("GotoTag", "A"))
+                sheet, pin = self.sheets[path], Pin(goto, "in", 1)
+            else:
+                return path, source.sid, source.number
+        raise NotTranslated("From and Goto blocks lead in a circle")
+
+    def _goto(self, path: str, tag: str) -> tuple[str, str]:
+        """Return the Goto of a tag: that of the sheet, else one that is seen from it, scoped or global."""
+        gotos = [(path, sid) for sid in self.sheets[path].tagged.get(("Goto", tag), [])]
+        if not gotos:
+            scopes = [at for at in self.sheets if self.sheets[at].tagged.get(("GotoTagVisibility", tag))]
+            scopes = [at for at in scopes if f"{path}/".startswith(f"{at}/".lstrip("/"))]
+            for at, sheet in self.sheets.items():
+                for sid in sheet.tagged.get(("Goto", tag), []):
+                    seen = sheet.system.blocks[sid].values.get("TagVisibility", "local")
+                    scoped = scopes and f"{at}/".startswith(f"{max(scopes, key=len)}/".lstrip("/"))
+                    gotos += [(at, sid)] if seen == "global" or (seen == "scoped" and scoped) else []
+        if len(gotos) != 1:
+            raise NotTranslated(f"{len(gotos)} Goto blocks with the tag {tag} are seen from this system")
+        return gotos[0]
+
+    def _label(self, path: str, pin: Pin) -> str:
+        """Return the name of the signal at an input: of its line, or of the element that a BusSelector takes out."""
+        source = self.sheets[path].sources.get(pin)
+        return "" if source is None else self.sheets[path].labels.get(source, "").strip("<>")
+
+    def _origin(self, path: str, pin: Pin) -> Output | None:
+        """Return the output of a block that drives an input, out of and into subsystems; None where nothing does."""
+        return self._resolved(self._source(path, pin))
+
+    def _resolved(self, source: Output | None) -> Output | None:
+        """Return the output of a block that is behind that of a subsystem or an Inport; None where nothing is."""
+        for _ in range(1000):
+            if source is None:
+                return None
+            path, sid, output = source
+            sheet = self.sheets[path]
+            block = sheet.system.blocks[sid]
+            inner = f"{path}/{escaped(block.name)}".lstrip("/")
+            if inner in self.sheets and self._is_system(block):
+                port = self.sheets[inner].ports.get(("Outport", output))
+                source = None if port is None else self._source(inner, Pin(port, "in", 1))
+            elif block.type in ("Inport", "InportShadow") and sheet.owner is not None:
+                source = self._source(sheet.owner[0], Pin(sheet.owner[1], "in", port_number(block)))
+            else:
+                return source
+        raise NotTranslated("subsystems lead in a circle")
+
+    def _type(self, path: str, pin: Pin) -> Signal | None:
+        """Return the type of what drives an input: of nothing a scalar 0; None where it is not known yet."""
+        origin = self._origin(path, pin)
+        return Signal() if origin is None else self.signals.get(origin)
+
+    @staticmethod
+    def _is_system(block: SimulinkBlock) -> bool:
+        return block.type in ("SubSystem", "Reference", "ModelReference") and block.kind not in (
+            *RULES,
+            "MATLAB Function",
+        )
+
+    def _inputs(self, key: tuple[str, str]) -> list[Pin]:
+        block = self.blocks[key]
+        least = max(self.sheets[key[0]].inputs.get(key[1], 0), INPUTS.get(block.type, 1))
+        count = least if block.ports is None else block.ports[0]
+        return [Pin(key[1], "in", k + 1) for k in range(count)]
+
+    def _rate(self, key: tuple[str, str]) -> Rate | None:
+        """Return the rate at which a block's output changes; None of a constant."""
+        block = self.blocks[key]
+        if block.type in ("Inport", "InportShadow"):
+            return BASE
+        return None if block.type in ("Constant", "Ground") else self.held.get(key) or self.rates.get(key, BASE)
+
+    def _refuse(self, key: tuple[str, str], why: str) -> None:
+        self._line(*key, "refused", why)
+        self.made[key] = Made(None, [])
+
+    def _line(self, path: str, sid: str, status: str, why: str) -> None:
+        block = self.blocks[path, sid]
+        self.report.append(ReportLine(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
