@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -381,6 +382,18 @@ def step_figures(flown: Mapping[str, Array], loop: str, goal: float) -> dict[str
     return {**found, **peaks}
 
 
+_OPEN = SampledController(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((1, 0)), np.zeros((1, 3)))
+
+
+@lru_cache(maxsize=4)
+def _plants(family: PitchFamily, members: int, seed: int) -> tuple[PitchLoop, PitchLoop]:
+    """Return the loops of the drawn members and of the estimate, kept for the next controller.
+
+    Half the time of a short promise would go into their matrices, which no gain changes.
+    """
+    return PitchLoop(family.draw(members, seed), _OPEN, family.gust_time), PitchLoop(family.nominal(), _OPEN)
+
+
 def promise(
     controller: SampledController,
     family: PitchFamily,
@@ -402,14 +415,14 @@ def promise(
     if not is_number(goal, 1e-3, 0.8):
         raise _error(f"a step of {shown(goal)} rad is out of range", "give 0.001 to 0.8 rad")
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
-    loop = PitchLoop(family.draw(members, seed), controller, family.gust_time)
+    loop, nominal = (one.under(controller) for one in _plants(family, members, seed))
     steps = round(duration / PERIOD) + 1
     setpoint = np.concatenate([np.zeros(_LEAD), np.full(steps, goal)])
     with np.errstate(over="ignore", invalid="ignore"):
         theta, q, moment = loop.simulate(
             setpoint, seed, family.gusts(members, seed), family.q_noise, family.q_band, TILT_WALK, progress
         )
-        before = PitchLoop(family.nominal(), controller).after_step(goal, len(setpoint))
+        before = nominal.after_step(goal, len(setpoint))
         moment, earlier = (m - m[_LEAD - TRIM : _LEAD].mean(axis=0) for m in (moment, before[2]))
         # What an earlier step leaves, 2 s later: none, one the other way, or one the same way.
         left = np.resize(_EARLIER, members)
