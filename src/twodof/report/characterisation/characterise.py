@@ -12,13 +12,13 @@ from twodof.errors import IdentificationError, ParameterError
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import only
 from twodof.identify.greybox import fit
-from twodof.identify.ready_made import TRAVEL
+from twodof.identify.ready_made import SWING, TRAVEL, FlownMachine, by_output_error, structure_for
 from twodof.identify.record import Record
 from twodof.identify.repeated import Spread
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch, read_doublet, read_free_response
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity, read_step
 from twodof.models.plant import thrust_curve
-from twodof.models.structures import free_response, pitch_rate, rail
+from twodof.models.structures import pitch_rate, rail
 from twodof.report.content import Uncertain
 
 # Below this many repetitions a spread says nothing about a standard deviation.
@@ -34,8 +34,8 @@ class ExperimentRecords:
     All repetitions together give the spread of the readings by hand. `by_hand` names the experiments for the simple
     method: without a doublet of pitch, for example, a motion along the rail does not show a step response. `trim` is
     the moment that holds the drone level (default: the moment before the doublet). With `gyro_bias` the bias of a real
-    gyro is estimated too. `surroundings` hold a longer stretch of a record's flight, by the record's name, for
-    pictures.
+    gyro is estimated too. `machine` is the rig whose calibration holds. `surroundings` hold a longer stretch of a
+    record's flight, by the record's name, for pictures.
     """
 
     impulses: Sequence[Record]
@@ -44,6 +44,7 @@ class ExperimentRecords:
     by_hand: frozenset[str] = frozenset({"pitch", "velocity"})
     trim: float | None = None
     gyro_bias: bool = False
+    machine: FlownMachine = field(default_factory=FlownMachine)
     surroundings: Mapping[str, Record] = field(default_factory=dict)
 
 
@@ -51,16 +52,17 @@ class ExperimentRecords:
 class Characterisation:
     """Results about one machine.
 
-    `free`, `forced` and `travel` are the grey-box fits of the three experiments, `dry` that of the free response with
-    dry friction and hardening. `simple` and `greybox` hold the parameters of Table 1 by key, `spreads` the standard
-    deviation of the grey-box estimates among repetitions. `refusals` are the reasons for missing results.
+    `free`, `forced` and `travel` are the grey-box fits of the three experiments, `pulse` that of the impulse with the
+    free swing held, for the gain without thrust. `simple` and `greybox` hold the parameters of Table 1 by key,
+    `spreads` the standard deviation of the grey-box estimates among repetitions. `refusals` are the reasons for missing
+    results.
     """
 
     flights: ExperimentRecords
     pitch: SimplePitch | None
     velocity: SimpleVelocity | None
     free: Estimate | None
-    dry: Estimate | None
+    pulse: Estimate | None
     forced: Estimate | None
     travel: Estimate | None
     simple: Mapping[str, Uncertain]
@@ -71,15 +73,16 @@ class Characterisation:
     @property
     def fits(self) -> dict[str, Estimate]:
         """Return the grey-box fits of Table 1, by experiment."""
-        found = {"free response": self.dry or self.free, "doublet": self.forced, "velocity": self.travel}
+        found = {"free response": self.free, "doublet": self.forced, "velocity": self.travel}
         return {name: estimate for name, estimate in found.items() if estimate is not None}
 
 
 def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisation:
     """Identify one machine by both methods.
 
-    `dry_friction`: take w_n and xi of the grey-box column from the model with dry friction and a hardening spring (real
-    bearings), not from the paper's linear one. Failed identifications are noted in `refusals`, not raised.
+    The free response is fitted as `twodof identify` does it. `dry_friction`: dry friction and hardening stand in the
+    table too (real bearings), and the rail has dry friction. Failed identifications are noted in `refusals`, not
+    raised.
     """
     refusals: list[str] = []
     pitch, along = None, None
@@ -88,7 +91,6 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
         pitch = _tried(lambda: identify_pitch(flights.impulses[0], doublets, trim=flights.trim), refusals)
     if flights.velocities and "velocity" in flights.by_hand:
         along = _tried(lambda: identify_velocity(flights.velocities[:3]), refusals)
-    guess = {} if pitch is None else {"w_n": pitch.model.w_n, "xi": pitch.model.xi}
     gain = {} if pitch is None else {"mu": pitch.model.mu}
     seen = [only(record, "x") for record in flights.velocities]
     greybox: dict[str, Uncertain] = {}
@@ -112,21 +114,30 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
             spreads.update({key: Spread(_spread([one[key] for one in again]), len(again)) for key in keys})
         return found
 
-    rubbing = partial(fit, free_response())
-    dry = identify(flights.impulses, ("w_n", "xi", "coulomb", "hardening"), rubbing) if dry_friction else None
-    swinging = partial(fit, pitch_rate(), values=guess)
-    free = identify(flights.impulses, () if dry is not None else ("w_n", "xi"), swinging)
+    swing = structure_for("impulse")
+
+    def swung(records: Sequence[Record], validation: Sequence[Record] = ()) -> Estimate:
+        machines = [flights.machine] * (len(records) + len(validation))
+        found, _ = by_output_error("impulse", swing, records, validation, machines=machines)
+        assert isinstance(found, Estimate)  # of one record
+        return found
+
+    free = identify(flights.impulses, SWING if dry_friction else ("w_n", "xi"), swung)
+    held = {name: free[name] for name in SWING} if free is not None else {}
+    told = tuple(name for name in swing.estimate if name not in held)
+    pushed = partial(fit, swing, estimate=told, values={**flights.machine.values(swing), **held})
+    pulse = identify(flights.impulses, (), pushed) if held else None
     poles = {key: greybox[key].value for key in ("w_n", "xi") if key in greybox}
     # With the rotors' lag: without it the noise model would take the misfit at each edge for a gust.
     driven = partial(fit, pitch_rate(lag=True), estimate=FORCED, values=poles | gain)
     forced = identify(flights.doublets, ("mu", "tau"), driven) if poles else None
-    curve = _curve(dry or free, forced, refusals)
+    curve = _curve(pulse, forced, refusals)
     wanted = (*TRAVEL, *["q_trim"] * flights.gyro_bias, *["coulomb"] * dry_friction)
     moving = partial(fit, rail(thrust=bool(curve)), estimate=wanted, values=curve)
     # One doublet tells p_v to a tenth: several identify, if one is left to validate.
     travel = identify(seen, ("k_v", "p_v"), moving, min(_TRAVELS, max(1, len(seen) - 1)))
     simple = _readings(flights, pitch, along)
-    return Characterisation(flights, pitch, along, free, dry, forced, travel, simple, greybox, spreads, refusals)
+    return Characterisation(flights, pitch, along, free, pulse, forced, travel, simple, greybox, spreads, refusals)
 
 
 def _curve(idle: Estimate | None, run: Estimate | None, refusals: list[str]) -> dict[str, float]:

@@ -112,6 +112,7 @@ def _unsure(estimate: Estimate) -> Iterator[str]:
     Remarks about residuals are left to the section about residuals.
     """
     own = [i for i, label in enumerate(estimate.labels) if label not in estimate.local and estimate.sigma(label) > 0.0]
+    own = [i for i in own if estimate.labels[i] not in estimate.at_bound]
     pairs = [(abs(estimate.correlation[i, j]), i, j) for i in own for j in own if i < j]
     strongest, i, j = max(pairs, default=(0.0, 0, 0))
     if strongest > _CORRELATED:

@@ -15,6 +15,7 @@ from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS
 from twodof.identify.experiments import KINDS, around, cut
 from twodof.identify.information import predict
+from twodof.identify.ready_made import FlownMachine
 from twodof.identify.record import Record
 from twodof.models.structures import pitch_rate
 from twodof.report.characterisation.characterise import FORCED, ExperimentRecords, characterise
@@ -69,7 +70,13 @@ def virtual(
         raise ExperimentError(
             f"every {lacking[0]} was broken off", f"rig '{rig}'", f"the last: {broken_off[-1][2]}; fly it gentler"
         )
-    flights = ExperimentRecords(records["impulse"], records["doublet"], records["velocity"], surroundings=surroundings)
+    flights = ExperimentRecords(
+        records["impulse"],
+        records["doublet"],
+        records["velocity"],
+        machine=FlownMachine(rig),
+        surroundings=surroundings,
+    )
     found = characterise(flights, dry_friction=laboratory.parameters["coulomb_idle"] > 0.0)
     truth = truth_of(laboratory.parameters.snapshot())
     text = _TEXTS["machines"][rig]

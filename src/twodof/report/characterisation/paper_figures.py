@@ -48,15 +48,10 @@ def _figure_3(found: Characterisation) -> Figure:
     zero = _first_edge(record, "M")
     whole = _whole_flight(found, record)
     lines = [_measured(whole, "q", zero)]
-    fit = found.dry or found.free
     caption = say("impulse")
-    if fit is not None:
-        lines.append(_simulated(fit.identification[0], zero))
-        kind = "with dry friction and a hardening spring" if found.dry else "linear"
-        caption += say("impulse_fit", kind=kind, fit=fit.identification[0].fit_percent)
-        if found.dry and found.free:
-            caption += say("impulse_linear", fit=found.free.identification[0].fit_percent)
-        caption += ". "
+    if found.pulse is not None:
+        lines.append(_simulated(found.pulse.identification[0], zero))
+        caption += say("impulse_fit", fit=found.pulse.identification[0].fit_percent)
     marks: list[Span | FigureBand] = []
     if found.pitch is not None:
         free = found.pitch.free
