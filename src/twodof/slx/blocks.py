@@ -8,6 +8,7 @@ left to right; a Discrete Derivative keeps the scaled input, and so on: each fun
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from twodof.blocks import Diagram
@@ -43,8 +44,9 @@ from twodof.blocks.library import (
 from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
 from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, formula
 from twodof.slx.conditions import CONDITION_RULES
-from twodof.slx.data_types import BUS_RULES, kind_of, value_of
+from twodof.slx.data_types import BUS_RULES, kind_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
+from twodof.slx.matrices import MATRIX_LINES, matrix
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
 
 
@@ -60,7 +62,8 @@ def _constant(c: Asked) -> Made:
     if value.size == 1:
         return Made(Constant(plain(value.flat[0], kind), kind), [Signal(kind)])
     if 1 not in value.shape:
-        raise NotTranslated(f"a constant matrix of {value.shape[0]} by {value.shape[1]} is not translated")
+        signal = sized(kind, list(value.shape))
+        return Made(Constant(value_of(value, signal), kind, shape=signal.shape), [signal])
     return Made(Constant([plain(v, kind) for v in value.flatten()], kind, value.size), [Signal(kind, value.size)])
 
 
@@ -302,6 +305,7 @@ DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop", *S
 
 
 RULES: dict[str, Rule] = {
+    **{name: partial(matrix, line=line) for name, line in MATRIX_LINES.items()},
     **COMPOSITE_RULES,
     **CONDITION_RULES,
     **DYNAMIC_RULES,
@@ -340,10 +344,10 @@ TAKES_BUSES = (
 )
 TAKES_SMALL = (
     *(*TAKES_BUSES, *ARITHMETIC_RULES, "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
-    *("Gain", "Logic", "Product", "Sum", "SwitchCase", "UnaryMinus"),
+    *("Assignment", "Gain", "Logic", "Product", "Reshape", "Sum", "SwitchCase", "UnaryMinus"),
 )
 """Types that take integers of 8 and 16 bits."""
-TAKES_MATRICES = ("BusAssignment", "BusCreator", *DROPPED)
+TAKES_MATRICES = ("BusAssignment", "BusCreator", *MATRIX_LINES, *DROPPED)
 
 
 def check_inputs(kind: str, inputs: Sequence[Signal]) -> None:

@@ -32,6 +32,7 @@ from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab import evaluate, run
 from twodof.slx.matlab_function import MatlabFunction
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
+from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
 from twodof.slx.model import Model, SimulinkBlock, System, collapsed, escaped, read_model
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
@@ -506,7 +507,7 @@ class _Import(Wiring):
                 values["OutDataTypeStr"] = wanted
             dt = self.dt * self.rates.get(key, BASE).divider
             asked = Asked(block, path, values, self.sheets[path].names, inputs, dt, labels)
-            made = rule(asked)
+            made = matrix(asked, MATRIX_LINES[block.kind]) if makes_matrix(asked) else rule(asked)
             if block.type == "RateTransition":
                 made = self._transition(key, asked) or made
             self.made[key] = made

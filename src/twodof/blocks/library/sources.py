@@ -82,11 +82,18 @@ def start_param(start: float) -> Param:
 
 @library_block("constant")
 class Constant(Block):
-    """y = value; blocks of any rate may read it."""
+    """y = value, a number, an array of `width` or the rows of a matrix of `shape`; blocks of any rate may read it."""
 
-    def __init__(self, value: Any = 0.0, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.outputs = [Port("y", kind, width, unit)]
-        self.params = [Param("value", value, kind, width, unit)]
+    def __init__(
+        self,
+        value: Any = 0.0,
+        kind: Kind = "real",
+        width: int | None = None,
+        unit: str = "",
+        shape: tuple[int, int] | None = None,
+    ) -> None:
+        self.outputs = [Port("y", kind, width, unit, shape)]
+        self.params = [Param("value", value, kind, width, unit, shape=shape)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return p.value

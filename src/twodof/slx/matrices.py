@@ -1,0 +1,136 @@
+"""Matrix operations of Simulink: each is a line of MATLAB on the inputs u1, u2, ..., carried out on signals.
+
+A vector of Simulink is a column here, and so is a row: what needs a row's sizes is refused. Products are summed from
+left to right, as MathWorks' C does it.
+"""
+
+from collections.abc import Callable, Mapping
+
+from twodof.blocks.bus import Bus
+from twodof.slx.data_types import signal_of
+from twodof.slx.matlab_function import MatlabFunction
+from twodof.slx.matlab_values import Value
+from twodof.slx.translation import Asked, Made, NotTranslated
+
+Line = Callable[[Asked], tuple[str, dict[str, Value]]]
+"""What a block is in MATLAB: statements that give y, and values that they use by name."""
+
+
+def matrix(c: Asked, line: Line) -> Made:
+    """Return the block of a line of MATLAB."""
+    if any(isinstance(one.kind, Bus) for one in c.inputs):
+        raise NotTranslated("a matrix of buses is not translated")
+    text, values = line(c)
+    names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
+    code = f"function y = f({', '.join([*names, *values])})\n{text}"
+    item = MatlabFunction(code, c.inputs, values, list(values))
+    return Made(item, [signal_of(port) for port in item.outputs], expand=False)
+
+
+def _terms(c: Asked, one: str, known: str) -> list[tuple[str, str]]:
+    said = c.text("Inputs", "2").replace("|", "").replace(" ", "")
+    signs = said if not said.strip(known) else one * int(c.scalar("Inputs", "2"))
+    return [(sign, f"u{k}") for k, sign in enumerate(signs, start=1)]
+
+
+def _sum(c: Asked) -> tuple[str, dict[str, Value]]:
+    c.kind("real")
+    terms = _terms(c, "+", "+-")
+    if len(terms) == 1:
+        raise NotTranslated("a sum of the elements of a matrix is not translated")
+    first = next((term for term in terms if term[0] == "+"), terms[0])  # where MathWorks' C begins
+    return f"y = {''.join(''.join(term) for term in [first, *(one for one in terms if one != first)])};", {}
+
+
+def _product(c: Asked) -> tuple[str, dict[str, Value]]:
+    c.kind("real")
+    whole, terms = c.text("Multiplication", "Element-wise(.*)") == "Matrix(*)", _terms(c, "*", "*/")
+    if len(terms) == 1 or terms[0][0] == "/" or (whole and any(sign == "/" for sign, _ in terms)):
+        raise NotTranslated("a product of the elements or an inverse of a matrix is not translated")
+    dot = "" if whole else "."
+    return f"y = u1{''.join(f'{dot}{sign}{name}' for sign, name in terms[1:])};", {}
+
+
+def _gain(c: Asked) -> tuple[str, dict[str, Value]]:
+    c.kind("real")
+    texts = {"Element-wise(K.*u)": "K.*u1", "Matrix(u*K)": "u1*K"}
+    texts |= dict.fromkeys(("Matrix(K*u)", "Matrix(K*u) (u vector)"), "K*u1")
+    return f"y = {c.pick('Multiplication', 'Element-wise(K.*u)', texts)};", {"K": c.value("Gain", "1").astype(float)}
+
+
+def _math(c: Asked) -> tuple[str, dict[str, Value]]:
+    c.needs("Operator", "exp", "transpose", "hermitian")
+    return "y = u1';", {}
+
+
+def _reshape(c: Asked) -> tuple[str, dict[str, Value]]:
+    kind = c.needs("OutputDimensionality", "1-D array", "1-D array", "Column vector (2-D)", "Customize")
+    if kind != "Customize":
+        return "y = u1(:);", {}
+    return "y = reshape(u1, S);", {"S": c.value("OutputDimensions", "[1,1]").astype(float)}
+
+
+def _concatenate(c: Asked) -> tuple[str, dict[str, Value]]:
+    names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
+    if c.text("Mode", "Vector") == "Vector":
+        if any(one.shape for one in c.inputs):
+            raise NotTranslated("a matrix is joined with a vector")
+        return f"y = [{'; '.join(names)}];", {}
+    between = {1.0: "; ", 2.0: ", "}.get(c.scalar("ConcatenateDimension", "1"))
+    if between is None:
+        raise NotTranslated("ConcatenateDimension is neither 1 nor 2")
+    return f"y = [{between.join(names)}];", {}
+
+
+def _selector(c: Asked) -> tuple[str, dict[str, Value]]:
+    options = c.text("IndexOptions", c.text("IndexOptionArray", "Index vector (dialog)")).split(",")
+    count = int(c.scalar("NumberOfDimensions", "1"))
+    said = c.values.get("Indices", c.values.get("IndexParamArray", "1"))
+    parts = said.strip("{}").split(",") if count > 1 else [said]
+    if len(parts) != count or len(options) != count or not set(options) <= {"Index vector (dialog)", "Select all"}:
+        raise NotTranslated(f"IndexOptions = {','.join(options)!r} with Indices = {said[:40]!r} is not translated")
+    shift = 1.0 if c.text("IndexMode", "One-based") == "Zero-based" else 0.0
+    values, indices = dict[str, Value](), list[str]()
+    for k, (option, part) in enumerate(zip(options, parts, strict=True), start=1):
+        c.values[f"Indices{k}"] = part
+        indices.append(":" if option == "Select all" else f"I{k}")
+        if option != "Select all":
+            values[f"I{k}"] = c.value(f"Indices{k}", "1").astype(float) + shift
+    return f"y = u1({', '.join(indices)});", values
+
+
+def _assignment(c: Asked) -> tuple[str, dict[str, Value]]:
+    text, values = _selector(c)
+    return f"y = u1;\n{text.removeprefix('y = ').replace('u1', 'y', 1).rstrip(';')} = u2;", values
+
+
+def _delay(c: Asked) -> tuple[str, dict[str, Value]]:
+    start = c.value("InitialCondition" if "InitialCondition" in c.values else "X0", "0").astype(float)
+    return "persistent x\nif isempty(x)\n x = zeros(size(u1)) + X;\nend\ny = x;\nx = u1;", {"X": start}
+
+
+MATRIX_LINES: Mapping[str, Line] = {
+    "Abs": lambda c: ("y = abs(u1);", {}),
+    "Assignment": _assignment,
+    "Concatenate": _concatenate,
+    "Gain": _gain,
+    "Math": _math,
+    "Memory": _delay,
+    "Product": _product,
+    "Reshape": _reshape,
+    "Selector": _selector,
+    "Sum": _sum,
+    "UnaryMinus": lambda c: ("y = -u1;", {}),
+    "UnitDelay": _delay,
+    **dict.fromkeys(("SignalConversion", "SignalSpecification", "ZeroOrderHold"), lambda c: ("y = u1;", {})),
+}
+"""Blocks that take matrices, or make them."""
+
+
+def makes_matrix(c: Asked) -> bool:
+    """Return True for a block that is a line of MATLAB: a matrix comes in, or may go out."""
+    kind = c.block.kind
+    if kind not in MATRIX_LINES:
+        return False
+    made = kind in ("Assignment", "Reshape") or c.text("Mode", "Vector") == "Multidimensional array"
+    return made or any(one.shape is not None for one in c.inputs)
