@@ -368,3 +368,40 @@ def test_what_a_file_leaves_out_is_simulinks_own_default(tmp_path: Path) -> None
     got = flown(found, u=DRAWN[0])
     assert np.array_equal(got["y"], np.r_[0.0, 0.0, np.repeat(DRAWN[0][::2], 2)][:STEPS])
     assert np.allclose(got["e"], np.exp(DRAWN[0]), rtol=1e-15)
+
+
+def test_a_data_store_is_read_as_it_stood_before_the_step(tmp_path: Path) -> None:
+    writes: tuple[Blocks, Lines] = (
+        [
+            ("Inport", "in", {}),
+            ("Sum", "sum", {"Ports": "[2, 1]"}),
+            ("DataStoreRead", "old", {"DataStoreName": "total"}),
+            ("DataStoreWrite", "new", {"DataStoreName": "total"}),
+            ("EnablePort", "on", {}),
+        ],
+        [("in", "sum:1"), ("old", "sum:2"), ("sum", "new")],
+    )
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("Inport", "on", {"Port": "2", **REAL}),
+        ("DataStoreMemory", "memory", {"DataStoreName": "total", "InitialValue": "4"}),
+        ("DataStoreMemory", "fixed", {"DataStoreName": "k", "InitialValue": "[1 2]"}),
+        ("SubSystem", "total", {"Ports": "[1, 0]"}, writes),
+        ("DataStoreRead", "read", {"DataStoreName": "total"}),
+        ("DataStoreRead", "constant", {"DataStoreName": "k"}),
+        ("Outport", "y", {}),
+        ("Outport", "k", {"Port": "2"}),
+    ]
+    lines = [("u", "total"), ("on", "total#enable"), ("read", "y"), ("constant", "k")]
+    found = imported(tmp_path, blocks, lines)
+    got = flown(found, u=DRAWN[0], on=DRAWN[1])
+    wanted, stored = [], 4.0
+    for u, on in zip(DRAWN[0], DRAWN[1], strict=True):
+        wanted.append(stored)
+        stored = u + stored if on > 0 else stored
+    assert np.array_equal(got["y"], wanted)
+    assert np.array_equal(got["k"], np.tile([1.0, 2.0], (STEPS, 1)))
+    assert "a store is read as it stood before the step" in [line.why for line in found.report]
+    second: Blocks = [*blocks, ("DataStoreWrite", "again", {"DataStoreName": "total"})]
+    (refused,) = imported(tmp_path, second, [*lines, ("u", "again")]).refused
+    assert (refused.path, refused.why) == ("memory", "2 blocks write it, and a store has one writer")

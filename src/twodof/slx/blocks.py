@@ -368,6 +368,6 @@ INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum
 INPUTS |= {"MultiPortSwitch": 4, "ManualSwitch": 2, "Merge": 2}
 INPUTS |= dict.fromkeys(
     ("Clock", "Constant", "DigitalClock", "DiscretePulseGenerator", "Ground", "RandomNumber", "SignalGenerator", "Sin",
-     "Step", "UniformRandomNumber"), 0,
+     "Step", "UniformRandomNumber", "DataStoreMemory", "DataStoreRead"), 0,
 )  # fmt: skip
 """Inputs of a block of which the file does not say how many; of any other type one."""

@@ -16,6 +16,12 @@ Output = tuple[str, str, int]
 """An output of a block: path of its system, identifier and number."""
 PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED)
 """Types that only pass signals on, or say when a system acts."""
+STORES = ("DataStoreMemory", "DataStoreRead", "DataStoreWrite")
+
+
+def store_name(block: SimulinkBlock) -> str:
+    """Return the name of the data store that a block is, reads or writes."""
+    return block.values.get("DataStoreName", "A")
 
 
 @dataclass(frozen=True)
@@ -133,6 +139,22 @@ class Connections:
         least = max(self.sheets[key[0]].inputs.get(key[1], 0), INPUTS.get(block.type, 1))
         count = least if block.ports is None else block.ports[0]
         return [Pin(key[1], "in", k + 1) for k in range(count)]
+
+    def _memory(self, key: tuple[str, str]) -> tuple[str, str] | None:
+        """Return the Data Store Memory that a block reads or writes: the nearest one of its name."""
+        path: str | None = key[0]
+        while path is not None:
+            sheet = self.sheets[path]
+            for sid, block in sheet.system.blocks.items():
+                if block.type == "DataStoreMemory" and store_name(block) == store_name(self.blocks[key]):
+                    return path, sid
+            path = None if sheet.owner is None else sheet.owner[0]
+        return None
+
+    def _writers(self, memory: tuple[str, str]) -> int:
+        """Return how many blocks write a Data Store Memory."""
+        writing = (one for one, b in self.blocks.items() if b.type == "DataStoreWrite" and not b.commented)
+        return sum(self._memory(one) == memory for one in writing)
 
     def _rate(self, key: tuple[str, str]) -> Rate | None:
         """Return the rate at which a block's output changes; None of a constant."""

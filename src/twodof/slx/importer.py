@@ -19,13 +19,13 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.diagram import BASE, Rate
-from twodof.blocks.library import RateTransition
+from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, check_inputs
 from twodof.slx.bus_ports import with_bus_ports
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
-from twodof.slx.connections import PASSING, Output, ReportLine
-from twodof.slx.data_types import kind_of, sized
+from twodof.slx.connections import PASSING, STORES, Output, ReportLine, store_name
+from twodof.slx.data_types import kind_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
@@ -37,7 +37,7 @@ from twodof.slx.model import Model, SimulinkBlock, System, collapsed, escaped, r
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
-from twodof.slx.wiring import Wiring
+from twodof.slx.wiring import Wiring, safe
 
 MOST_GUESSES = 5
 """How often the types of loops are guessed anew."""
@@ -494,6 +494,7 @@ class _Import(Wiring):
         """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
         block, path = self.blocks[key], key[0]
         rule = self._matlab_function(key) if block.kind == "MATLAB Function" else RULES.get(block.kind)
+        rule = self._store(key) if block.type in STORES else rule
 
         def translate() -> None:
             if rule is None:
@@ -518,6 +519,34 @@ class _Import(Wiring):
             self.approximated.setdefault(key, []).extend(notes)
 
         self._try(key, translate)
+
+    def _store(self, key: tuple[str, str]) -> Rule:
+        """Return the rule of a block of a data store, whose memory stands on its sheet or on one around it."""
+        block, memory = self.blocks[key], self._memory(key)
+        name = store_name(block)
+
+        def made(c: Asked) -> Made:
+            if memory is None:
+                raise NotTranslated(f"no Data Store Memory {name} is around it")
+            values = {**self.defaults[memory[0]].get("DataStoreMemory", {}), **self.blocks[memory].values}
+            said, names = values.get("OutDataTypeStr", "Inherit: auto"), self.sheets[memory[0]].names
+            start = as_array(number(evaluate(values.get("InitialValue", "0"), names, "InitialValue")))
+            kind = "real" if said.startswith("Inherit") else kind_of(said, names)
+            signal = sized(kind, list(start.shape))
+            if signal.shape is not None or isinstance(kind, Bus) or c.text("DataStoreElements"):
+                raise NotTranslated(f"a store of {signal}, or of elements of one, is not translated")
+            if block.type == "DataStoreMemory":
+                if (count := self._writers(key)) > 1:
+                    raise NotTranslated(f"{count} blocks write it, and a store has one writer")
+                return Made(DataStore(value_of(start, signal), kind, signal.width), [signal])
+            c.notes.append("a store is read as it stood before the step")
+            if block.type == "DataStoreRead":
+                return Made(StoreRead(safe(f"store_{name}", set()), kind, signal.width), [signal])
+            if not c.inputs[0].like(signal):
+                raise NotTranslated(f"its input is {c.inputs[0]}, and the store {signal}")
+            return Made(StoreWrite(safe(f"store_{name}", set()), kind, signal.width), [])
+
+        return made
 
     def _transition(self, key: tuple[str, str], c: Asked) -> Made | None:
         """Return the delay of a Rate Transition whose input is slower; None where it only samples."""

@@ -9,9 +9,9 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, Rate
-from twodof.blocks.library import Constant, Logic, Merge, ZeroOrderHold
+from twodof.blocks.library import Constant, DataStore, Logic, Merge, StoreRead, ZeroOrderHold
 from twodof.slx.conditions import Condition, ControlEdge
-from twodof.slx.connections import PASSING, Connections, Output
+from twodof.slx.connections import PASSING, Connections, Output, store_name
 from twodof.slx.matlab import evaluate
 from twodof.slx.matlab_values import as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, System, collapsed, escaped, port_number
@@ -24,12 +24,12 @@ class Wiring(Connections):
     def _diagram(self, path: str) -> Diagram:
         system = self.sheets[path].system
         title = re.split(r"(?<!/)/(?!/)", path)[-1] if path else self.model.name
-        diagram = Diagram(_safe(title, set()), f"{self.model.name}/{path}".rstrip("/"))
+        diagram = Diagram(safe(title, set()), f"{self.model.name}/{path}".rstrip("/"))
         names = self.sheets[path].parts
         self.sheets[path].diagram = diagram
         taken: set[str] = set()
         for sid, block in self._ordered(system):
-            names[sid] = _safe(block.name, taken)
+            names[sid] = safe(f"store_{store_name(block)}" if block.type == "DataStoreMemory" else block.name, taken)
             taken.add(names[sid])
         outports = [(sid, block) for sid, block in self._ordered(system) if block.type == "Outport"]
         for sid, block in self._ordered(system):
@@ -47,7 +47,7 @@ class Wiring(Connections):
             source = self._name(path, self._source(path, Pin(sid, "in", 1)), names, diagram)
             if "." not in source and source not in diagram.parts:  # an output of a diagram is fed by a part
                 signal = self._type(path, Pin(sid, "in", 1)) or Signal()
-                passed = _safe(f"{source}_passed", taken)
+                passed = safe(f"{source}_passed", taken)
                 diagram.add(passed, ZeroOrderHold(signal.kind, signal.width))
                 diagram.connect(source, passed)
                 source = passed
@@ -60,7 +60,7 @@ class Wiring(Connections):
         """Yield the ports by number, then the other blocks, so that names are the ports' first."""
 
         def rank(item: tuple[str, SimulinkBlock]) -> tuple[int, int]:
-            kinds = {"Inport": 0, "Outport": 1}
+            kinds = {"DataStoreMemory": -1, "Inport": 0, "Outport": 1}
             return kinds.get(item[1].type, 2), port_number(item[1]) if item[1].type in kinds else 0
 
         return iter(sorted(system.blocks.items(), key=rank))
@@ -91,6 +91,12 @@ class Wiring(Connections):
             return
         item = diagram.parts[name].item
         made = self.made.get((path, sid), Made(None, []))
+        if isinstance(item, StoreRead):  # the store feeds it
+            return
+        if isinstance(item, DataStore):  # and a StoreWrite that one, if there is any
+            if not self._writers((path, sid)):
+                diagram.connect(f"{name}.y", f"{name}.u")
+            return
         ports = _port_names(item.inputs)
         if isinstance(item, Diagram):
             self._condition(path, sid, f"{path}/{escaped(block.name)}".lstrip("/"))
@@ -162,7 +168,7 @@ class Wiring(Connections):
         """Return the output of a block that no Simulink block stands for, added once to a sheet's diagram."""
         sheet = self.sheets[path]
         if wanted not in sheet.helpers:
-            name = _safe(wanted, {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()})
+            name = safe(wanted, {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()})
             ports = [port.name for port in block.inputs]
             sheet.diagram.add(name, block, rate=rate, inputs=dict(zip(ports, sources, strict=True)))
             sheet.helpers[wanted] = f"{name}.{block.outputs[0].name}"
@@ -233,13 +239,13 @@ class Wiring(Connections):
             within = self._name(below, source, inner.parts, inner.diagram)
             wanted = f"{within.replace('.', '_')}_out"
             if wanted not in inner.helpers:
-                inner.helpers[wanted] = _safe(wanted, {*inner.diagram.outputs, *inner.parts.values()})
+                inner.helpers[wanted] = safe(wanted, {*inner.diagram.outputs, *inner.parts.values()})
                 inner.diagram.output(inner.helpers[wanted], within)
             return f"{part}.{inner.helpers[wanted]}"
         wanted = f"{'_'.join(source[:2])}_{source[2]}_in"
         if wanted not in sheet.helpers:
             taken = {*sheet.diagram.parts, *sheet.diagram.inputs, *sheet.parts.values()}
-            name = sheet.helpers[wanted] = _safe(f"from_{self.blocks[source[:2]].name}", taken)
+            name = sheet.helpers[wanted] = safe(f"from_{self.blocks[source[:2]].name}", taken)
             self.beyond[path, name] = source
             origin = self._resolved(source)
             signal = Signal() if origin is None else self.signals[origin]
@@ -264,7 +270,7 @@ def _corner(block: SimulinkBlock) -> tuple[float, float] | None:
     return None if place is None else place[:2]
 
 
-def _safe(name: str, taken: set[str]) -> str:
+def safe(name: str, taken: set[str]) -> str:
     """Return a legal name near to a block's that is not taken."""
     plain = re.sub(r"^(?![A-Za-z])", "b", re.sub(r"\W+", "_", collapsed(name), flags=re.ASCII).strip("_"))[:50] or "b"
     made, k = plain, 2
