@@ -12,7 +12,7 @@ import pytest
 from tests import toolchains
 from tests.patience import PATIENCE_S
 from twodof.errors import DiagramError
-from twodof.slx.matlab import evaluate, run
+from twodof.slx.matlab import assigned_names, evaluate, run
 from twodof.slx.matlab_values import number
 
 pytestmark = pytest.mark.slow
@@ -166,3 +166,7 @@ def test_a_parameter_object_counts_as_its_value() -> None:
     workspace: dict[str, object] = {}
     assert run("P = Simulink.Parameter(.5); P.DataType = 'single';", workspace) == []
     assert math.isclose(float(np.asarray(number(workspace["P"])).item()), 0.5)
+
+
+def test_an_assignment_to_nothing_names_nothing() -> None:
+    assert assigned_names("= 3; k = 4;\nif = 2") == {"k"}

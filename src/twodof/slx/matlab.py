@@ -238,7 +238,7 @@ def _assigned(tokens: list[Token]) -> set[str]:
         elif depth == 0 and operator == "=":
             target = tokens[start:at]
             several = bool(target) and target[0].text == "["
-            before = [None, *target[:-1]]
+            before = [None, *target][: len(target)]
             found = [
                 t.text for t, b in zip(target, before, strict=True) if t.kind == "name" and (not b or b.text != ".")
             ]
