@@ -274,6 +274,7 @@ class Machine:
     """What `end` stands for: the array that is indexed, which index, and of how many."""
 
     def count(self) -> None:
+        """Count an operation. Raises NotComputed for one too many."""
         self.steps += 1
         if self.steps > MOST_STEPS:
             raise NotComputed(f"takes more than {MOST_STEPS} operations")
@@ -289,6 +290,7 @@ class Parser:
 
     @property
     def here(self) -> Token:
+        """The next token."""
         return self.tokens[self.at]
 
     def skip(self, *texts: str) -> bool:
@@ -300,6 +302,7 @@ class Parser:
         return False
 
     def need(self, text: str) -> None:
+        """Pass an operator. Raises NotComputed where another token stands."""
         if not self.skip(text):
             raise NotComputed(f"'{text}' is missing before '{self.here.text}'")
 
@@ -346,6 +349,7 @@ class Parser:
                 return name, steps
 
     def expression(self) -> Value:
+        """Compute an expression."""
         self.depth += 1
         if self.depth > DEEPEST:
             raise NotComputed("is nested too deep")
@@ -359,6 +363,7 @@ class Parser:
         return self.matrix and self.here.spaced and not following.spaced and self.here.text in ("+", "-")
 
     def binary(self, level: int) -> Value:
+        """Compute operations of this level of precedence, and of those above it."""
         if level == len(_BINARY):
             return self.product()
         if _BINARY[level] == (":",):
@@ -371,6 +376,7 @@ class Parser:
         return left
 
     def range(self, level: int) -> Value:
+        """Compute `first:last` or `first:step:last`."""
         first = self.binary(level + 1)
         if self.here.text != ":" or self.here.kind != "operator" or self.tokens[self.at + 1].text in (")", ","):
             return first
@@ -389,6 +395,7 @@ class Parser:
         return begin + increment * np.arange(max(count, 0), dtype=float)[None, :]
 
     def product(self) -> Value:
+        """Compute products and quotients."""
         left = self.unary()
         while self.here.kind == "operator" and self.here.text in _PRODUCTS:
             operator = self.here.text
@@ -397,6 +404,7 @@ class Parser:
         return left
 
     def unary(self) -> Value:
+        """Compute signs and `not`."""
         signs: list[str] = []
         while self.here.kind == "operator" and self.here.text in ("+", "-", "~", "!"):
             signs.append(self.here.text)
@@ -416,6 +424,7 @@ class Parser:
         return ~array.astype(bool)
 
     def power(self) -> Value:
+        """Compute powers and transposes."""
         value = self.postfix()
         while self.here.kind == "operator" and self.here.text in ("^", ".^", "'", ".'"):
             operator = self.here.text
@@ -435,6 +444,7 @@ class Parser:
         return value
 
     def postfix(self) -> Value:
+        """Compute a value with its indices and fields."""
         token = self.here
         self.machine.count()
         if (
@@ -467,6 +477,7 @@ class Parser:
                 return value
 
     def primary(self) -> Value:
+        """Compute a literal, a name, a bracket or a matrix."""
         token = self.here
         self.at += 1
         if token.kind == "number":
@@ -493,6 +504,7 @@ class Parser:
         raise NotComputed(f"'{token.text}' is not computed" if token.kind != "end" else "ends too early")
 
     def rows(self, bracket: str) -> Value:
+        """Compute a matrix, or a cell array."""
         close = "]" if bracket == "[" else "}"
         matrix, self.matrix = self.matrix, True
         rows: list[list[Value]] = [[]]
@@ -561,6 +573,7 @@ class Parser:
         return bounded(value)
 
     def apply(self, operator: str, left: Value, right: Value) -> Value:
+        """Compute an operation of two values."""
         self.machine.count()
         left, right = number(left), number(right)
         if isinstance(left, dict | list) or isinstance(right, dict | list):
