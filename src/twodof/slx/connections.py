@@ -8,7 +8,7 @@ from twodof.errors import DiagramError
 from twodof.slx.blocks import INPUTS, RULES
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition
 from twodof.slx.matlab_values import NotComputed
-from twodof.slx.model import Model, Pin, SimulinkBlock, collapsed, escaped, port_number
+from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, collapsed, escaped, port_number
 from twodof.slx.sheet import Sheet
 from twodof.slx.translation import Made, NotTranslated, Signal
 
@@ -131,7 +131,7 @@ class Connections:
     def _is_system(block: SimulinkBlock) -> bool:
         return block.type in ("SubSystem", "Reference", "ModelReference") and block.kind not in (
             *RULES,
-            "MATLAB Function",
+            *CODED,
         )
 
     def _inputs(self, key: tuple[str, str]) -> list[Pin]:

@@ -23,6 +23,7 @@ from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWri
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, check_inputs
 from twodof.slx.bus_ports import with_bus_ports
+from twodof.slx.chart import function_rule
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
 from twodof.slx.connections import PASSING, STORES, Output, ReportLine, store_name
 from twodof.slx.data_types import kind_of, sized, value_of
@@ -30,10 +31,9 @@ from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab import evaluate, run
-from twodof.slx.matlab_function import MatlabFunction
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
-from twodof.slx.model import Model, SimulinkBlock, System, collapsed, escaped, read_model
+from twodof.slx.model import CODED, Model, SimulinkBlock, System, collapsed, escaped, read_model
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
@@ -85,7 +85,7 @@ class _Import(Wiring):
         self.names = {**self._names_of(model), **workspace}
         self.referenced: dict[str, dict[str, Value]] = {}
         self.times: dict[tuple[str, str], tuple[float, float]] = {}
-        self.code = {collapsed(one.path): one.text for one in model.charts if one.function}
+        self.code = {collapsed(one.path): one for one in model.charts}
 
     def _names_of(self, model: Model) -> dict[str, Value]:
         """Return the names that a model's dictionary and callbacks give."""
@@ -203,9 +203,9 @@ class _Import(Wiring):
 
     def _body(self, block: SimulinkBlock, names: dict[str, Value], at: str) -> tuple[System | None, SimulinkBlock]:
         """Return what is inside a block, and who has its mask: itself, or a variant's active choice."""
-        if block.kind == "MATLAB Function":
+        if block.kind in CODED:
             return None, block
-        if block.kind in ("Chart", "State Transition Table", "Truth Table"):
+        if block.kind in ("State Transition Table", "Truth Table"):
             raise NotTranslated(f"a {block.kind} is not translated")
         if block.values.get("Variant", "off") == "on":
             choice = self._choice(block, names)
@@ -243,11 +243,11 @@ class _Import(Wiring):
         return found
 
     def _take_code(self, library: str, inside: str, at: str) -> None:
-        """Let the MATLAB Functions of a library's block be those of the block at a path."""
+        """Let the MATLAB Functions and charts of a library's block be those of the block at a path."""
         for one in self._file(library).charts:
             path = collapsed(one.path)
-            if one.function and f"{path}/".startswith(f"{inside}/".lstrip("/")):
-                self.code[f"{at}/{path[len(inside) :].lstrip('/')}".strip("/")] = one.text
+            if f"{path}/".startswith(f"{inside}/".lstrip("/")):
+                self.code[f"{at}/{path[len(inside) :].lstrip('/')}".strip("/")] = one
 
     @staticmethod
     def _choice(block: SimulinkBlock, names: dict[str, Value]) -> SimulinkBlock:
@@ -493,7 +493,8 @@ class _Import(Wiring):
     def _translate(self, key: tuple[str, str]) -> None:
         """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
         block, path = self.blocks[key], key[0]
-        rule = self._matlab_function(key) if block.kind == "MATLAB Function" else RULES.get(block.kind)
+        code = self.code.get(f"{path}/{escaped(block.name)}".lstrip("/"))
+        rule = function_rule(code) if block.kind in CODED else RULES.get(block.kind)
         rule = self._store(key) if block.type in STORES else rule
 
         def translate() -> None:
@@ -561,19 +562,6 @@ class _Import(Wiring):
         self.held[key] = before
         one, start = c.inputs[0], c.scalar("InitialCondition" if "InitialCondition" in c.values else "X0", "0")
         return Made(RateTransition(plain(start, one.kind), one.kind, one.width), [one])
-
-    def _matlab_function(self, key: tuple[str, str]) -> Rule:
-        """Return the rule of a MATLAB Function: its code stands with the charts, by its path."""
-        code = self.code.get(f"{key[0]}/{escaped(self.blocks[key].name)}".lstrip("/"), "")
-
-        def made(c: Asked) -> Made:
-            if not code:
-                raise NotTranslated("its code is not in the file")
-            item = MatlabFunction(code, c.inputs, c.names)
-            c.notes += item.notes
-            return Made(item, [Signal(port.kind, port.width, port.shape) for port in item.outputs], expand=False)
-
-        return made
 
 
 def _with_ports(system: System) -> System:

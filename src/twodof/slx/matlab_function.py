@@ -23,6 +23,7 @@ from twodof.slx.matlab import Machine
 from twodof.slx.matlab_program import Code, call, chosen, is_empty
 from twodof.slx.matlab_values import (
     Array,
+    Members,
     NotComputed,
     Value,
     cast,
@@ -38,10 +39,11 @@ Names = dict[str, Value]
 
 
 class MatlabFunction(Block):
-    """The function `code` of inputs of these types; `names` are values of the workspace for its `parameters`.
+    """The function `code` of inputs of these types, in the order of its arguments.
 
-    Without `parameters` the arguments after the inputs are these. `notes` say what is left out. Raises DiagramError
-    with the line of a statement that is not translated.
+    Arguments that are not among the input `ports` have values of the workspace, `names`; without ports they are the
+    last ones. `declared` are kinds of names, as a chart has them: then the function sees all `names`. `notes` say what
+    is left out. Raises DiagramError with the line of a statement that is not translated.
     """
 
     def __init__(
@@ -49,14 +51,19 @@ class MatlabFunction(Block):
         code: str,
         signals: Sequence[Signal],
         names: Mapping[str, Value] | None = None,
-        parameters: Sequence[str] = (),
+        ports: Sequence[str] = (),
+        declared: Mapping[str, str] | None = None,
     ) -> None:
         try:
             self.code = Code(code)
+            self.code.known |= {
+                k: v for k, v in (names or {}).items() if isinstance(v, Members) or declared is not None
+            }
+            self.code.declared |= declared or {}
             main = self.code.main
-            free = [name for name in main.arguments if name not in parameters]
-            self.given, rest = free[: len(signals)], free[len(signals) :]
-            self.constants = {k: v for k, v in (names or {}).items() if k in (*rest, *parameters)}
+            named = len(ports) == len(signals) and set(ports) <= set(main.arguments)
+            self.given = [k for k in main.arguments if k in ports] if named else main.arguments[: len(signals)]
+            self.constants = {k: v for k, v in (names or {}).items() if k in main.arguments and k not in self.given}
             if missing := [k for k in main.arguments if k not in (*self.given, *self.constants)]:
                 raise NotComputed(f"the argument {missing[0]} has neither a signal nor a value: give --workspace")
             if not main.results:

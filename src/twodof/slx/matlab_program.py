@@ -23,6 +23,7 @@ from twodof.slx.matlab_values import (
     Value,
     as_array,
     class_of,
+    converted,
     filled,
     is_signal,
     lifted,
@@ -65,6 +66,10 @@ class Code:
         self.initial: dict[str, Value] = {}
         """First values of persistent variables, as the last run found them empty."""
         self.notes: list[str] = []
+        self.known: dict[str, Value] = {}
+        """Names that every function sees: enumerations."""
+        self.declared: dict[str, str] = {}
+        """Kinds to which the main function's names convert what they are assigned."""
         words = self._words()
         count = Counter(word for _, word in words)
         # Functions of a file either all end with `end`, or none does.
@@ -164,9 +169,18 @@ class Program(Parser):
             except (NotComputed, DiagramError) as reason:
                 why = reason.what if isinstance(reason, DiagramError) else str(reason)
                 raise NotTranslatedLine(f"line {line}: {why}") from None
+            if self.function_run is self.code.main:
+                self._convert()
             for name in empty - self._empty():
                 self.code.initial[f"{self.function_run.name}.{name}"] = self.machine.names[name]
         self.at = stop
+
+    def _convert(self) -> None:
+        """Convert names that have a declared kind."""
+        for name, kind in self.code.declared.items():
+            value = self.machine.names.get(name, EMPTY)
+            if not is_empty(value) and class_of(as_array(value)) != kind:
+                self.machine.names[name] = converted(as_array(value), kind)
 
     def _empty(self) -> set[str]:
         """Return the persistent variables that have no value yet."""
@@ -408,7 +422,7 @@ def call(
 ) -> Mapping[str, Value]:
     """Carry out a function on arguments and return its names. Persistent variables are kept in the machine's names."""
     kept = {name: value for name, value in machine.names.items() if "." in name}
-    names: MutableMapping[str, Value] = {**kept, **dict(zip(function.arguments, arguments, strict=False))}
+    names: MutableMapping[str, Value] = {**code.known, **kept, **dict(zip(function.arguments, arguments, strict=False))}
     names["nargin"] = np.array([[float(len(arguments))]])
     inner = Machine(names, machine.steps)
     Program(code, function, inner, depth).run()

@@ -15,7 +15,7 @@ import numpy as np
 
 from twodof.blocks.elementary import functions
 from twodof.blocks.expressions.conversions import to_float64, to_stored
-from twodof.blocks.expressions.expr import convert, sqrt, where
+from twodof.blocks.expressions.expr import Expr, convert, sqrt, where
 from twodof.blocks.expressions.numbers import INTEGER_TYPES, STORED
 from twodof.slx.matlab_values import (
     FUNCTIONS,
@@ -62,7 +62,8 @@ def _arithmetic(compute: Elementwise) -> Elementwise:
             return cast(compute(*map(_double, elements)), kind)
         if all(map(is_literal, elements)):
             with np.errstate(all="ignore"):
-                return float(compute(*map(np.float64, elements)))
+                found = compute(*map(np.float64, elements))
+                return found if isinstance(found, Expr) else float(found)
         return compute(*(cast(one, kind) for one in elements))
 
     return operate

@@ -127,6 +127,10 @@ class System:
                 yield from block.system.walk(f"{path}/{escaped(block.name)}".lstrip("/"))
 
 
+CODED = ("MATLAB Function", "Chart")
+"""Kinds of blocks that are translated from their code."""
+
+
 @dataclass
 class SimulinkChart:
     """A MATLAB Function or a Stateflow chart: its path, and the code or labels in it."""
@@ -134,6 +138,8 @@ class SimulinkChart:
     path: str
     function: bool
     text: str
+    form: Mapping[str, Any] | None = None
+    """Its states and transitions as the reader gives them; None where they are not read."""
 
 
 @dataclass

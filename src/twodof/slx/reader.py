@@ -129,8 +129,8 @@ class PackageReader:
             made["system"] = self.system(inner, depth + 1)
         return made
 
-    def charts(self, top: Element) -> Iterator[tuple[str, bool, str]]:
-        """Yield path, whether it is a MATLAB Function, and code or labels of each chart."""
+    def charts(self, top: Element) -> Iterator[tuple[str, bool, str, dict[str, Any] | None]]:
+        """Yield path, whether it is a MATLAB Function, code or labels, and the form of each chart."""
         parts = [name for name in self.package.names if re.fullmatch(r"simulink/stateflow/chart_\w+\.xml", name)]
         older = self.package.tree("simulink/stateflow.xml")
         roots = [one for one in map(self.package.tree, parts) if one is not None]
@@ -141,7 +141,7 @@ class PackageReader:
                 yield _chart(chart, root)
 
 
-def _chart(chart: Element, root: Element) -> tuple[str, bool, str]:
+def _chart(chart: Element, root: Element) -> tuple[str, bool, str, dict[str, Any] | None]:
     # In a .mdl of braces a chart's states stand beside it and name it by its number.
     number = _value(chart, "id")
     own = [s for s in root.iterfind("state") if number and _value(s, "chart") == number]
@@ -149,7 +149,28 @@ def _chart(chart: Element, root: Element) -> tuple[str, bool, str]:
     scripts = [p.text or "" for p in inside if p.tag == "P" and p.get("Name") == "script"]
     labels = [p.text or "" for p in inside if p.tag == "P" and p.get("Name") == "labelString"]
     function = _value(chart, "type") == "EML_CHART" or (bool(scripts) and len(labels) <= 1)
-    return _value(chart, "name"), function, "\n".join(scripts if function else [*labels, *scripts])
+    form = None if own or number else _form(chart, 0)
+    return _value(chart, "name"), function, "\n".join(scripts if function else [*labels, *scripts]), form
+
+
+def _form(part: Element, depth: int) -> dict[str, Any]:
+    """Return a part of a chart with its values, those of parts that only hold values by path, and the parts inside."""
+    if depth > DEEPEST:
+        raise LogError(f"a chart is nested more than {DEEPEST} deep", "stateflow", REMEDY)
+    values: dict[str, str] = {}
+    stack = [("", part)]
+    while stack:
+        prefix, at = stack.pop()
+        values |= {f"{prefix}{name}": text for name, text in _values(at).items()}
+        stack += [(f"{prefix}{one.tag}/", one) for one in at if one.tag not in ("P", "Children") and len(prefix) < 200]
+    inside = [_form(one, depth + 1) for children in part.iterfind("Children") for one in children]
+    return {
+        "tag": part.tag,
+        "id": part.get("SSID", ""),
+        "name": part.get("name", ""),
+        "values": values,
+        "inside": inside,
+    }
 
 
 def _values(element: Element) -> dict[str, str]:

@@ -12,7 +12,7 @@ from twodof.errors import DiagramError
 from twodof.slx.matlab import evaluate
 from twodof.slx.matlab_function import last_index
 from twodof.slx.matlab_values import NotComputed, Value, as_array, number
-from twodof.slx.model import Pin, SimulinkBlock, System, collapsed, escaped, port_number
+from twodof.slx.model import Pin, SimulinkBlock, SimulinkChart, System, collapsed, escaped, port_number
 from twodof.slx.translation import Signal
 
 KEEPS_TYPE = (
@@ -81,7 +81,7 @@ def ends(sheets: Sheets, path: str, pin: Pin, depth: int = 0) -> Iterator[tuple[
                 yield from ends(sheets, sheet.owner[0], outer, depth + 1)
 
 
-def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, str]) -> int:
+def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkChart]) -> int:
     """Return how many elements a block behind an output wants; 1 where none says it. `code` are MATLAB Functions."""
     most = 1
     for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
@@ -99,7 +99,8 @@ def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, str]) -
                 matrix = block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
                 wanted = found.shape[1] if matrix else 1
         elif block.kind == "MATLAB Function":
-            wanted = last_index(code.get(f"{at}/{escaped(block.name)}".lstrip("/"), ""), pin.number)
+            one = code.get(f"{at}/{escaped(block.name)}".lstrip("/"))
+            wanted = 1 if one is None else last_index(one.text, pin.number)
         most = max(most, wanted)
     return most
 

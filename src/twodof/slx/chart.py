@@ -1,0 +1,502 @@
+"""A Stateflow chart as a MATLAB Function: `chart_code` writes the function that does what the chart does in a tick.
+
+The chart's data are persistent variables, and so are the number of the active state in each state and the ticks since
+a state was entered. In the first call the chart takes its default transitions only. In each other one, from the outside
+in: the outer transitions of an active state in their order; if none leads to a state, its `during` action, its inner
+transitions, and what is inside it. A transition's condition action acts as soon as its condition holds, also where the
+way does not reach a state. Exit actions go from the inside out, entry actions from the outside in.
+
+Charts in MATLAB's language are translated, without events and graphical functions; anything else is refused.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twodof.errors import DiagramError
+from twodof.slx.data_types import kind_of
+from twodof.slx.matlab import evaluate
+from twodof.slx.matlab_function import MatlabFunction
+from twodof.slx.matlab_values import FUNCTIONS, Members, Value, as_array, number
+from twodof.slx.model import SimulinkChart, collapsed, port_number
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
+
+MOST_LINES = 4000
+DEEPEST = 12
+_COMMENT = re.compile(r"%[^\n]*|//[^\n]*|/\*.*?\*/", re.DOTALL)
+_ACTIONS = {"en": "entry", "entry": "entry", "du": "during", "during": "during", "ex": "exit", "exit": "exit"}
+_KEYWORD = re.compile(
+    r"(?:(?<=\s)|(?<=;)|^)((?:(?:entry|en|during|du|exit|ex|bind|on\s+[^:\n]+)\s*,?\s*)+):", re.MULTILINE
+)
+_AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
+_SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
+_SETTINGS = {
+    "actionLanguage": ("2", "its action language is C"),
+    "executeAtInitialization": ("0", "it executes at initialization"),
+    "initializeOutput": ("0", "its outputs are initialized at each tick"),
+    "updateMethod": ("INHERITED", "it has an update method of its own"),
+    "stateMachineType": ("CLASSIC", "it is a Moore or Mealy machine"),
+}
+Form = Mapping[str, Any]
+"""A part of a chart as the reader gives it: tag, id, name, values and the parts inside."""
+
+
+@dataclass
+class _Way:
+    """A transition, or a part of one between junctions."""
+
+    source: str
+    target: str
+    parent: "_State"
+    order: int
+    condition: str = ""
+    action: str = ""
+    at_end: str = ""
+
+
+@dataclass
+class _State:
+    """A state, or the chart itself; `ways` are the transitions drawn in it."""
+
+    id: str
+    name: str
+    parent: "_State | None"
+    parallel: bool
+    number: int = 0
+    actions: dict[str, str] = field(default_factory=dict)
+    children: list["_State"] = field(default_factory=list)
+    ways: list[_Way] = field(default_factory=list)
+
+    @property
+    def active(self) -> str:
+        return f"active_in_{self.id}"
+
+    @property
+    def since(self) -> str:
+        return f"ticks_in_{self.id}"
+
+    def chain(self) -> list["_State"]:
+        """Return the states from the outermost to this one, without the chart."""
+        return [] if self.parent is None else [*self.parent.chain(), self]
+
+
+@dataclass
+class ChartCode:
+    """A chart as a MATLAB Function: its text, the names that it takes, and the kinds of its data.
+
+    `owners` say for each line of the text whose it is.
+    """
+
+    text: str
+    known: dict[str, Value]
+    declared: dict[str, str]
+    owners: list[str]
+
+
+def chart_code(
+    form: Form, inputs: Sequence[str], outputs: Sequence[str], names: Mapping[str, Value], dt: float
+) -> ChartCode:
+    """Translate a chart with these ports, in their order, for a period [s]. Raises NotTranslated, naming the part."""
+    return _Chart(form, names, dt).code(inputs, outputs)
+
+
+class _Chart:
+    def __init__(self, form: Form, names: Mapping[str, Value], dt: float) -> None:
+        for setting, (value, why) in _SETTINGS.items():
+            if form["values"].get(setting, "" if setting == "actionLanguage" else value) != value:
+                raise NotTranslated(why)
+        self.names, self.dt = names, dt
+        self.states: dict[str, _State] = {}
+        self.junctions: set[str] = set()
+        self.scripts: list[str] = []
+        self.data: list[Form] = []
+        self.root = _State("chart", "the chart", None, form["values"].get("decomposition") == "SET_CHART")
+        self._read(form, self.root, 0)
+        for way in self._ways():
+            if way.target not in self.states and way.target not in self.junctions:
+                raise NotTranslated(f"{_shown(way)}: it leads to no state")
+        self.lines: list[str] = []
+        self.owners: list[str] = []
+        self.clocks: dict[str, _State] = {}
+        self.flags = 0
+
+    # --- what is there
+
+    def _read(self, form: Form, parent: _State, depth: int) -> None:
+        if depth > DEEPEST:
+            raise NotTranslated(f"{parent.name}: states lie more than {DEEPEST} deep")
+        for part in form["inside"]:
+            values = part["values"]
+            if part["tag"] == "state" and values.get("isNoteBox", "0") != "1":
+                self._read_state(part, parent, depth)
+            elif part["tag"] == "transition":
+                way = _Way(
+                    values.get("src/SSID", ""),
+                    values.get("dst/SSID", ""),
+                    parent,
+                    int(values.get("executionOrder", "1")),
+                )
+                _label(way, values.get("labelString", ""))
+                parent.ways.append(way)
+            elif part["tag"] == "junction":
+                if values.get("type") == "HISTORY_JUNCTION":
+                    raise NotTranslated(f"{parent.name}: a history junction is not translated")
+                self.junctions.add(part["id"])
+            elif part["tag"] == "event":
+                raise NotTranslated(f"the event {part['name']} is not translated")
+            elif part["tag"] == "data":
+                self.data.append(part)
+        if parent is not self.root and not parent.children and any(not way.source for way in parent.ways):
+            raise NotTranslated(f"{parent.name}: a flow chart in a state is not translated")
+        order = [one.number for one in parent.children]
+        parent.children.sort(key=lambda one: one.number)
+        if parent.parallel and len(set(order)) < len(order):
+            raise NotTranslated(f"{parent.name}: the order of its parallel states is not in the file")
+        for number_, child in enumerate(parent.children, start=1):
+            child.number = number_
+        parent.ways.sort(key=lambda way: way.order)
+
+    def _read_state(self, part: Form, parent: _State, depth: int) -> None:
+        values, label = part["values"], part["values"].get("labelString", "")
+        kind = values.get("type", "OR_STATE")
+        if kind == "FUNC_STATE" and "eml/script" in values:
+            self.scripts.append(values["eml/script"])
+            return
+        name = re.match(r"\s*([A-Za-z]\w*)", label)
+        if kind not in ("OR_STATE", "AND_STATE") or name is None:
+            what = {"FUNC_STATE": "graphical function", "GROUP_STATE": "box"}.get(kind, "state of another kind")
+            raise NotTranslated(f"the {what} {label.strip()[:40]} is not translated")
+        made = _State(part["id"], name[1], parent, values.get("decomposition") == "SET_STATE")
+        made.number = int(values.get("executionOrder", len(parent.children) + 1 if kind == "OR_STATE" else 0))
+        made.actions = _actions(label[name.end() :], name[1])
+        parent.children.append(made)
+        self.states[made.id] = made
+        self._read(part, made, depth + 1)
+
+    def _ways(self) -> Iterator[_Way]:
+        for state in (self.root, *self.states.values()):
+            yield from state.ways
+
+    def _from(self, source: str) -> list[_Way]:
+        return sorted((way for way in self._ways() if way.source == source), key=lambda way: way.order)
+
+    # --- the text
+
+    def code(self, inputs: Sequence[str], outputs: Sequence[str]) -> ChartCode:
+        """Return the chart as a function of these inputs and outputs."""
+        known: dict[str, Value] = {}
+        declared: dict[str, str] = {}
+        kept, parameters = list[str](), list[str]()
+        for part in self.data:
+            name, scope = part["name"], part["values"].get("scope", "LOCAL_DATA")
+            if scope in ("OUTPUT_DATA", "LOCAL_DATA"):
+                kept.append(name)
+                declared[name] = self._kind(part)
+                known[f"initial_{name}"] = self._initial(part, declared[name])
+            elif scope == "CONSTANT_DATA":
+                known[name] = self._initial(part, self._kind(part))
+            elif scope == "PARAMETER_DATA":
+                parameters.append(name)
+                known[name] = self.names.get(name)
+                if known[name] is None:
+                    raise NotTranslated(f"the parameter {name} has no value: give it by --workspace")
+                known[name] = number(known[name])
+            elif scope != "INPUT_DATA":
+                raise NotTranslated(f"the data {name} with {scope} is not translated")
+        if missing := [name for name in outputs if name not in kept]:
+            raise NotTranslated(f"the output {missing[0]} is not in the chart's data")
+        step = self._block(lambda: self._children_act(self.root))
+        first = self._block(lambda: self._begin(self.root))
+        containers = [one for one in (self.root, *self.states.values()) if one.children and not one.parallel]
+        memory = [*(one.active for one in containers), *self.clocks]
+        head = [f"function [{', '.join(outputs)}] = chart({', '.join(inputs)})"]
+        head += [f"persistent {' '.join([*kept, *memory, 'was_entered'])}", "if isempty(was_entered)"]
+        head += [f"{name} = initial_{name};" for name in kept] + [f"{name} = 0;" for name in memory]
+        head += ["was_entered = true;"]
+        clocks = [f"{name} = {name} + 1;" for name in self.clocks]
+        middle = [("else", ""), *((line, "") for line in clocks), *step]
+        unread = {f"{one.since} = 0;" for one in self.states.values()} - {f"{name} = 0;" for name in self.clocks}
+        text = [*((line, "") for line in head), *first, *middle, ("end", ""), ("end", "")]
+        text = [one for one in text if one[0] not in unread]
+        text += [(line, "a function in it") for script in self.scripts for line in [*script.splitlines()]]
+        if len(text) > MOST_LINES:
+            raise NotTranslated(f"it takes more than {MOST_LINES} lines")
+        return ChartCode("\n".join(line for line, _ in text), known, declared, [owner for _, owner in text])
+
+    def _kind(self, part: Form) -> str:
+        said = part["values"].get("dataType", "double")
+        kind = "real" if said.startswith("Inherit") else kind_of(said, self.names)
+        if not isinstance(kind, str):
+            raise NotTranslated(f"the data {part['name']} of type {said} is not translated")
+        return kind
+
+    def _initial(self, part: Form, kind: str) -> Value:
+        values, name = part["values"], part["name"]
+        text = values.get("props/initialValue", values.get("initialValue", "")).strip()
+        sizes = values.get("props/array/size", "1").strip()
+        if values.get("initFromWorkspace", "0") == "1":
+            text = name
+        try:
+            start = as_array(number(evaluate(text, self.names, name))) if text else np.zeros((1, 1))
+            shape = [int(n) for n in as_array(evaluate(sizes or "1", self.names, name)).flatten()]
+        except DiagramError as reason:
+            raise NotTranslated(f"the data {name}: {reason.what}") from None
+        if len(shape) > 2 or (shape != [-1] and min(shape) < 1):
+            raise NotTranslated(f"the data {name} has the size {sizes}")
+        whole = (shape[0], shape[1]) if len(shape) == 2 else (max(shape[0], 1), 1)
+        if shape == [-1] or start.size == np.prod(whole):
+            whole = start.shape if start.size > 1 and 1 in start.shape else whole
+        elif start.size != 1:
+            raise NotTranslated(f"the data {name} has {start.size} initial values for the size {sizes}")
+        whole_array = np.full(whole, start.item()) if start.size == 1 else start.reshape(whole, order="F")
+        return FUNCTIONS[{"real": "double", "bool": "logical", "float32": "single"}.get(kind, kind)](whole_array)
+
+    def _block(self, write: Callable[[], None]) -> list[tuple[str, str]]:
+        self.lines, self.owners = [], []
+        write()
+        return list(zip(self.lines, self.owners, strict=True))
+
+    def _say(self, text: str, owner: str = "") -> None:
+        for line in text.splitlines() or [""]:
+            self.lines.append(line)
+            self.owners.append(owner)
+        if len(self.lines) > MOST_LINES:
+            raise NotTranslated(f"it takes more than {MOST_LINES} lines")
+
+    def _act(self, state: _State, action: str) -> None:
+        if text := state.actions.get(action, ""):
+            self._say(text, f"{action} of {state.name}")
+
+    def _by_child(self, parent: _State, write: Callable[[_State], None]) -> None:
+        """Write a branch for each of the states of which one is active."""
+        for k, child in enumerate(parent.children):
+            self._say(f"{'if' if k == 0 else 'elseif'} {parent.active} == {child.number}")
+            write(child)
+        if parent.children:
+            self._say("end")
+
+    def _begin(self, parent: _State) -> None:
+        """Enter what is in a state that was just entered."""
+        if parent.parallel:
+            for child in parent.children:
+                self._enter(child)
+        elif parent.children or (parent is self.root and parent.ways):
+            defaults = [way for way in parent.ways if not way.source]
+            if not defaults:
+                raise NotTranslated(f"{parent.name}: it has no default transition")
+            self._flow(defaults, self._flag(), None, parent, [], 0)
+
+    def _enter(self, state: _State) -> None:
+        assert state.parent is not None
+        if not state.parent.parallel:
+            self._say(f"{state.parent.active} = {state.number};")
+        self._say(f"{state.since} = 0;")
+        self._act(state, "entry")
+        self._begin(state)
+
+    def _leave(self, state: _State) -> None:
+        """Leave a state that is active, and all that is inside it."""
+        self._leave_inside(state)
+        self._act(state, "exit")
+
+    def _leave_inside(self, parent: _State) -> None:
+        if parent.parallel:
+            for child in reversed(parent.children):
+                self._leave(child)
+        elif parent.children:
+            self._by_child(parent, self._leave)
+            self._say(f"{parent.active} = 0;")
+
+    def _children_act(self, parent: _State) -> None:
+        if parent.parallel:
+            for child in parent.children:
+                self._tick(child)
+        elif parent.children:
+            self._by_child(parent, self._tick)
+        elif parent is self.root:
+            self._begin(parent)  # a chart without states takes its default transitions at each tick
+
+    def _tick(self, state: _State) -> None:
+        """Write what an active state does in a tick."""
+        ways = self._from(state.id)
+        outer = [way for way in ways if way.parent is not state]
+        inner = [way for way in ways if way.parent is state]
+        if not ways:
+            self._act(state, "during")
+            self._children_act(state)
+            return
+        flag = self._flag()
+        self._flow(outer, flag, state, None, [], 0)
+        self._say(f"if ~{flag}")
+        self._act(state, "during")
+        self._flow(inner, flag, state, state, [], 0)
+        self._say(f"if ~{flag}")
+        self._children_act(state)
+        self._say("end\nend")
+
+    def _flag(self) -> str:
+        """Return a new name that says whether a transition was taken."""
+        self.flags += 1
+        self._say(f"taken_{self.flags} = false;")
+        return f"taken_{self.flags}"
+
+    def _flow(
+        self,
+        ways: Sequence[_Way],
+        flag: str,
+        source: _State | None,
+        within: _State | None,
+        path: list[_Way],
+        depth: int,
+    ) -> None:
+        """Try ways in their order; junctions lead on, and back where none of theirs reaches a state."""
+        if depth > DEEPEST:
+            raise NotTranslated(f"{_shown(path[0])}: junctions lead on more than {DEEPEST} times, or in a circle")
+        for way in ways:
+            owner = _shown(way)
+            condition = self._timed(way, source)
+            self._say(f"if ~{flag}\nif {condition}", owner)
+            self._say(way.action, owner)
+            onward = [*path, way]
+            if way.target in self.states:
+                self._take(onward, self.states[way.target], source, within)
+                self._say(f"{flag} = true;")
+            elif follow := self._from(way.target):
+                self._flow(follow, flag, source, within, onward, depth + 1)
+            elif self.states:
+                raise NotTranslated(f"{owner}: it ends at a junction")
+            else:
+                self._say("".join(f"{one.at_end}\n" for one in onward), owner)
+                self._say(f"{flag} = true;")
+            self._say("end\nend")
+
+    def _take(self, path: Sequence[_Way], target: _State, source: _State | None, within: _State | None) -> None:
+        """Write the exit of what is left, the transition's own action, and the entry of the target."""
+        owner = _shown(path[0])
+        # The innermost state around the whole way: all that is active in it is left.
+        around = min((way.parent for way in path), key=lambda one: len(one.chain()))
+        common = around if within is None or len(around.chain()) < len(within.chain()) else within
+        if source is not None:
+            if common is source:
+                self._leave_inside(source)
+            else:
+                chain = [one for one in source.chain() if common is self.root or common in one.chain()[:-1]]
+                if not chain or any(one.parent is not None and one.parent.parallel for one in chain):
+                    raise NotTranslated(f"{owner}: a transition out of a parallel state is not translated")
+                for one in reversed(chain):
+                    self._leave(one) if one is source else self._act(one, "exit")
+                    assert one.parent is not None
+                    self._say(f"{one.parent.active} = 0;")
+        elif common is not within:
+            raise NotTranslated(f"{owner}: a default transition that leaves its state is not translated")
+        self._say("".join(f"{way.at_end}\n" for way in path), owner)
+        if target is common:
+            self._begin(target)
+            return
+        entered = [one for one in target.chain() if common is self.root or common in one.chain()[:-1]]
+        if not entered or any(one.parent is not None and one.parent.parallel for one in entered):
+            raise NotTranslated(f"{owner}: a transition into a parallel state is not translated")
+        for one in entered[:-1]:
+            assert one.parent is not None
+            self._say(f"{one.parent.active} = {one.number};\n{one.since} = 0;")
+            self._act(one, "entry")
+        self._enter(entered[-1])
+
+    def _timed(self, way: _Way, source: _State | None) -> str:
+        """Return a condition in which `after` counts the ticks since the source was entered."""
+
+        def count(found: re.Match[str]) -> str:
+            if source is None:
+                raise NotTranslated(f"{_shown(way)}: after() without a state")
+            self.clocks[source.since] = source
+            if found[2] == "tick":
+                return f"({source.since} >= ({found[1]}))"
+            # As in MathWorks' code: the first tick that is not before the time.
+            return f"({source.since} >= ceil(({found[1]}) * {_SECONDS[found[2]]!r} / {self.dt!r} * (1 - 1e-12)))"
+
+        return _AFTER.sub(count, way.condition) or "true"
+
+
+def _shown(way: _Way) -> str:
+    label = f"[{way.condition}]" if way.condition else f"{way.order} of {way.parent.name}"
+    return f"the transition {label[:60]}"
+
+
+def _actions(text: str, state: str) -> dict[str, str]:
+    """Return the actions of a state's label, behind its name."""
+    found: dict[str, str] = {}
+    bare = _COMMENT.sub("", text).lstrip("/ \t")
+    parts = _KEYWORD.split(bare)
+    if parts[0].strip():
+        found["entry"] = parts[0].strip()
+    for keywords, action in zip(parts[1::2], parts[2::2], strict=True):
+        for keyword in re.split(r"[,\s]+", keywords.strip().strip(",")):
+            if keyword not in _ACTIONS:
+                raise NotTranslated(f"the action '{keywords.strip()}' of {state} is not translated")
+            name = _ACTIONS[keyword]
+            found[name] = f"{found.get(name, '')}\n{action.strip()}".strip()
+    return found
+
+
+def _label(way: _Way, label: str) -> None:
+    """Read `event [condition] {action when it holds} / action when it is taken`."""
+    text = _COMMENT.sub("", label).strip().removesuffix("?")
+    event = re.match(r"[^\[{/]*", text)
+    assert event is not None
+    text = text[event.end() :]
+    if text.startswith("["):
+        way.condition, text = _bracket(text, "[", "]")
+        way.condition = collapsed(way.condition)
+    if text.startswith("{"):
+        way.action, text = _bracket(text, "{", "}")
+    if text.startswith("/"):
+        way.at_end = text[1:].strip().removeprefix("{").removesuffix("}")
+        text = ""
+    said = event[0].strip()
+    if text or (said and _AFTER.fullmatch(said) is None):
+        raise NotTranslated(f"the transition {label.strip()[:60]!r}: events are not translated")
+    if said:
+        way.condition = f"{said} && ({way.condition})" if way.condition else said
+
+
+def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
+    """Return what is inside the bracket that begins a text, and what follows it."""
+    depth = 0
+    for at, letter in enumerate(text):
+        depth += (letter == opening) - (letter == closing)
+        if depth == 0:
+            return text[1:at].strip(), text[at + 1 :].strip()
+    raise NotTranslated(f"{text[:60]!r} has no {closing}")
+
+
+def function_rule(chart: SimulinkChart | None) -> Rule:
+    """Return the rule of a MATLAB Function or a chart. Its ports have the names of those in its subsystem."""
+
+    def made(c: Asked) -> Made:
+        if chart is None:
+            raise NotTranslated("its code is not in the file")
+        blocks = [] if c.block.system is None else list(c.block.system.blocks.values())
+        inputs, outputs = (
+            [collapsed(one.name) for one in sorted((b for b in blocks if b.type == kind), key=port_number)]
+            for kind in ("Inport", "Outport")
+        )
+        if chart.function:
+            item = MatlabFunction(chart.text, c.inputs, c.names, inputs)
+        elif chart.form is None or len(inputs) != len(c.inputs):
+            raise NotTranslated("its chart is not read from this form of file")
+        else:
+            code = chart_code(chart.form, inputs, outputs, c.names, c.dt)
+            enumerations = {name: value for name, value in c.names.items() if isinstance(value, Members)}
+            try:
+                item = MatlabFunction(code.text, c.inputs, enumerations | code.known, inputs, code.declared)
+            except DiagramError as reason:
+                line = re.match(r"line (\d+): (.*)", reason.what, re.DOTALL)
+                owner = code.owners[int(line[1]) - 1] if line is not None else ""
+                raise NotTranslated(f"{owner}: {line[2]}" if line is not None and owner else reason.what) from None
+        c.notes += item.notes
+        return Made(item, [Signal(port.kind, port.width, port.shape) for port in item.outputs], expand=False)
+
+    return made

@@ -1,0 +1,249 @@
+"""Stateflow charts: sequences derived by hand from Stateflow's rules, each action written into a log of digits."""
+
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pytest
+
+from tests.slx.files import Blocks, Lines, slx, system
+from twodof.blocks.schema import from_json, to_json
+from twodof.compile import build
+from twodof.slx.importer import Imported, import_system
+from twodof.slx.model import read_model
+
+DT = 0.01
+REAL = {"OutDataTypeStr": "double", "PortDimensions": "1"}
+
+
+def said(digit: int) -> str:
+    """The action that writes a digit."""
+    return f"log = mod(log*10 + {digit}, 1e12);"
+
+
+def state(number: int, label: str, inside: str = "", kind: str = "OR_STATE", order: int = 0, **values: str) -> str:
+    """A state's XML."""
+    given = {"labelString": label, "type": kind, **({"executionOrder": str(order)} if order else {}), **values}
+    text = "".join(f'<P Name="{name}">{escape(value)}</P>' for name, value in given.items())
+    return f'<state SSID="{number}">{text}<Children>{inside}</Children></state>'
+
+
+def way(number: int, source: int | None, target: int, label: str = "", order: int = 1) -> str:
+    """A transition's XML; a default transition has no source."""
+    begin = "<src/>" if source is None else f'<src><P Name="SSID">{source}</P></src>'
+    return (
+        f'<transition SSID="{number}"><P Name="labelString">{escape(label)}</P>{begin}'
+        f'<dst><P Name="SSID">{target}</P></dst><P Name="executionOrder">{order}</P></transition>'
+    )
+
+
+def junction(number: int) -> str:
+    """A junction's XML."""
+    return f'<junction SSID="{number}"><P Name="type">CONNECTIVE_JUNCTION</P></junction>'
+
+
+def data(name: str, scope: str, kind: str = "double", initial: str = "", size: str = "1") -> str:
+    """The XML of a chart's data."""
+    props = f'<props><array><P Name="size">{size}</P></array><P Name="initialValue">{initial}</P></props>'
+    typed = f'<P Name="scope">{scope}_DATA</P><P Name="dataType">{kind}</P>'
+    return f'<data SSID="9{len(name)}" name="{name}">{typed}{props}</data>'
+
+
+def chart(folder: Path, parts: str, *extra: str, settings: str = "", outputs: tuple[str, ...] = ("log",)) -> Imported:
+    """Import a model with a chart of the inputs u and v and these outputs."""
+    names = ["u", "v"]
+    inner: Blocks = [("Inport", name, {"Port": str(k)}) for k, name in enumerate(names, start=1)]
+    inner += [("Outport", name, {"Port": str(k)}) for k, name in enumerate(outputs, start=1)]
+    blocks: Blocks = [("Inport", name, {"Port": str(k), **REAL}) for k, name in enumerate(names, start=1)]
+    blocks += [
+        ("SubSystem", "chart", {"SFBlockType": "Chart", "Ports": f"[2, {len(outputs)}]"}, (inner, [])),
+        *(("Outport", f"y_{name}", {"Port": str(k)}) for k, name in enumerate(outputs, start=1)),
+    ]
+    lines: Lines = [("u", "chart:1"), ("v", "chart:2")]
+    lines += [(f"chart:{k}", f"y_{name}") for k, name in enumerate(outputs, start=1)]
+    held = [data("u", "INPUT"), data("v", "INPUT"), *([data("log", "OUTPUT")] if "log" in outputs else []), *extra]
+    head = '<P Name="name">chart</P><P Name="actionLanguage">2</P>' if "actionLanguage" not in settings else ""
+    body = f'<chart id="9">{head}{settings}<Children>{parts}{"".join(held)}</Children></chart>'
+    files = {
+        "simulink/blockdiagram.xml": f"<ModelInformation><Model>{system(blocks, lines)}</Model></ModelInformation>",
+        "simulink/stateflow/chart_9.xml": body,
+    }
+    return import_system(read_model(slx(files, folder / "m.slx")), dt=DT)
+
+
+def flown(found: Imported, u: list[float], v: list[float] | None = None) -> dict[str, np.ndarray]:
+    """What the imported diagram gives, after a round trip through JSON."""
+    assert found.diagram is not None, found.refused
+    machine = build(from_json(to_json(found.diagram)), dt=found.dt).machine()
+    return machine.run(len(u), {"u": np.array(u), "v": np.array(v or [0.0] * len(u))})
+
+
+def assert_log(found: Imported, ticks: list[tuple[float, float, str]]) -> None:
+    """Compare the log after each tick: u, v and the digits of the actions of the tick."""
+    got = flown(found, [u for u, _, _ in ticks], [v for _, v, _ in ticks])["y_log"]
+    written = ""
+    for k, (_, _, digits) in enumerate(ticks):
+        written += digits
+        assert got[k] == float(written[-12:] or "0"), (k, digits, got[k])
+
+
+NESTED = [
+    state(1, f"A\nentry: {said(1)}\nduring: {said(2)}\nexit: {said(3)}"),
+    state(
+        2,
+        f"B\nen: {said(4)} du: {said(5)}\nex: {said(6)}",
+        state(3, f"B1\n{said(7)}\nduring: {said(8)}; exit: {said(9)}")
+        + state(4, f"B2\nen, du: {said(1)}")
+        + way(11, None, 3)
+        + way(12, 3, 4, "after(2, tick)"),
+    ),
+    way(13, None, 1),
+    way(14, 1, 2, f"[u > 0]{{{said(8)}}}/{said(9)}"),
+    way(15, 2, 1, "[u < 0]"),
+]
+
+
+def test_nested_states_act_in_stateflows_order(tmp_path: Path) -> None:
+    ticks = [
+        (1.0, 0.0, "1"),  # the default transition only, though u > 0 and A has a during action
+        (0.0, 0.0, "2"),
+        (1.0, 0.0, "83947"),  # condition action, exit A, transition action, entry B, entry B1; no during
+        (0.0, 0.0, "58"),  # one tick in B1
+        (0.0, 0.0, "591"),  # during B before the transition inside it; exit B1, entry B2
+        (0.0, 0.0, "51"),
+        (-1.0, 0.0, "61"),  # B2 has no exit: exit B, entry A; nothing inside B acts
+        (1.0, 0.0, "83947"),
+        (-1.0, 0.0, "961"),  # from the inside out
+    ]
+    assert_log(chart(tmp_path, "".join(NESTED)), ticks)
+
+
+def test_conditions_at_junctions_lead_back_and_their_actions_stay(tmp_path: Path) -> None:
+    parts = [
+        state(1, f"A\nduring: {said(1)}"),
+        state(2, f"B\nentry: {said(2)}"),
+        state(3, f"C\nentry: {said(3)}"),
+        junction(4),
+        way(11, None, 1),
+        way(12, 1, 4, f"[u > 0]{{{said(4)}}}", 1),
+        way(13, 4, 2, f"[v > 0]{{{said(5)}}}/{said(6)}", 1),
+        way(14, 4, 3, "[v < -1]", 2),
+        way(15, 1, 3, f"[u > 5]{{{said(7)}}}", 2),
+        way(16, 2, 1, f"/{said(8)}"),
+        way(17, 3, 1),
+    ]
+    ticks = [
+        (1.0, 1.0, ""),
+        (1.0, 0.0, "41"),  # no way on from the junction: A stays, and its during action acts
+        (1.0, 1.0, "4562"),
+        (0.0, 0.0, "8"),  # B is left at once; A has no entry action
+        (9.0, 0.0, "473"),  # back from the junction to the second transition
+        (0.0, 0.0, ""),
+        (1.0, -2.0, "43"),
+    ]
+    assert_log(chart(tmp_path, "".join(parts)), ticks)
+
+
+def test_inner_and_self_transitions_enter_what_they_left(tmp_path: Path) -> None:
+    inside = [
+        state(2, f"P1\nentry: {said(1)}\nduring: {said(2)}\nexit: {said(3)}"),
+        state(3, f"P2\nentry: {said(4)}\nexit: {said(5)}"),
+        way(11, None, 2),
+        way(12, 1, 3, "[u > 1]"),  # drawn inside P: an inner transition
+    ]
+    parts = [
+        state(1, f"P\nentry: {said(6)}\nduring: {said(7)}\nexit: {said(8)}", "".join(inside)),
+        way(13, None, 1),
+        way(14, 1, 1, "[u < -1]"),
+    ]
+    ticks = [
+        (2.0, 0.0, "61"),
+        (0.0, 0.0, "72"),
+        (2.0, 0.0, "734"),  # during P, then the inner transition: P1 to P2, P is not left
+        (2.0, 0.0, "754"),
+        (-2.0, 0.0, "5861"),  # P itself: left and entered, with its default
+    ]
+    assert_log(chart(tmp_path, "".join(parts)), ticks)
+
+
+def test_parallel_states_act_in_their_order(tmp_path: Path) -> None:
+    def one(number: int, name: str, order: int, digit: int) -> str:
+        inside = (
+            state(number + 1, f"{name}off\nduring: {said(digit)}")
+            + state(number + 2, f"{name}on\nentry: {said(digit + 1)}")
+            + way(number + 3, None, number + 1)
+            + way(number + 4, number + 1, number + 2, "[u > 0]")
+            + way(number + 5, number + 2, number + 1, "[v > 0]")
+        )
+        return state(number, f"{name}\nentry: {said(9)}", inside, "AND_STATE", order)
+
+    parts = one(20, "late", 2, 3) + one(10, "early", 1, 1)
+    found = chart(tmp_path, parts, settings='<P Name="decomposition">SET_CHART</P>')
+    assert_log(found, [(1.0, 0.0, "99"), (0.0, 0.0, "13"), (1.0, 0.0, "24"), (0.0, 1.0, ""), (0.0, 0.0, "13")])
+
+
+def test_seconds_types_constants_and_functions(tmp_path: Path) -> None:
+    script = "function r = twice(a)\nr = 2*a;\nend"
+    label = '<P Name="labelString">r = twice(a)</P><P Name="type">FUNC_STATE</P>'
+    function = f'<state SSID="3">{label}<eml><P Name="script">{script}</P></eml></state>'
+    parts = [
+        state(1, "Wait\nduring: n = n + 100; x = twice(x) + STEP;"),
+        state(2, "Done\nentry: x(1) = -1; flag = true;"),
+        function,
+        way(11, None, 1, "{x = u;}"),
+        way(12, 1, 2, "[after(25, msec) && u > 0]"),
+        way(13, 2, 1, "after(0.02, sec)/n = 7;"),
+    ]
+    extra = [data("n", "OUTPUT", "uint8", "3"), data("x", "OUTPUT"), data("flag", "OUTPUT", "boolean")]
+    found = chart(
+        tmp_path, "".join(parts), *extra, data("STEP", "CONSTANT", "double", "0.5"), outputs=("n", "x", "flag")
+    )
+    got = flown(found, [1.0, 1, 1, 1, 1, 1, 1])
+    # 25 ms are 2.5 ticks: the third tick after the entry leaves; 20 ms are two.
+    assert got["y_n"].tolist() == [3, 103, 203, 203, 203, 7, 107]
+    assert got["y_n"].dtype == np.uint8
+    assert got["y_x"].tolist() == [1.0, 2.5, 5.5, -1.0, -1.0, -1.0, -1.5]
+    assert got["y_flag"].tolist() == [0, 0, 0, 1, 1, 1, 1]
+
+
+def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> None:
+    parts = [
+        junction(1),
+        junction(2),
+        way(11, None, 1, f"{{{said(1)}}}"),
+        way(12, 1, 2, f"[u > 0]{{{said(2)}}}", 1),
+        way(13, 1, 2, f"{{{said(3)}}}", 2),
+    ]
+    assert_log(chart(tmp_path, "".join(parts)), [(1.0, 0.0, "12"), (0.0, 0.0, "13"), (1.0, 0.0, "12")])
+
+
+@pytest.mark.parametrize(
+    ("parts", "settings", "why"),
+    [
+        (way(1, None, 2) + state(2, "A\non tick: log = 1;"), "", "the action 'on tick' of A"),
+        (way(1, None, 2) + state(2, "A\nduring: log = svd(u);"), "", "during of A: svd is not computed"),
+        (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "E[u > 0]"), "", "events are not translated"),
+        (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "[in(A)]"), "", "the transition [in(A)]: A has no value"),
+        (way(1, None, 2) + state(2, "A") + way(3, 2, 4) + junction(4), "", "it ends at a junction"),
+        (state(2, "A"), "", "the chart: it has no default transition"),
+        (way(1, None, 2) + state(2, "A") + '<event name="E"/>', "", "the event E is not translated"),
+        (way(1, None, 2) + state(2, "f(x)", kind="FUNC_STATE"), "", "the graphical function f(x)"),
+        (way(1, None, 2) + state(2, "A"), '<P Name="name">chart</P><P Name="actionLanguage">0</P>', "language is C"),
+        (way(1, None, 2) + state(2, "A"), '<P Name="executeAtInitialization">1</P>', "executes at initialization"),
+        (
+            way(1, None, 5)
+            + junction(5)
+            + junction(6)
+            + way(7, 5, 6, "[u > 0]")
+            + way(8, 6, 5, "[u > 1]")
+            + state(2, "A")
+            + way(9, 6, 2),
+            "",
+            "in a circle",
+        ),
+    ],
+)
+def test_a_chart_beyond_that_is_refused_by_its_part(tmp_path: Path, parts: str, settings: str, why: str) -> None:
+    (refused, *_) = chart(tmp_path, parts, settings=settings).refused
+    assert refused.path == "chart"
+    assert why in refused.why
