@@ -10,9 +10,9 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, WebSocketRoute, expect
 
-from tests.web.conftest import OpenPage, picture
+from tests.web.conftest import OpenPage, axe, picture
 from tests.web.lab_server import LabServer
 from tests.web.pilot import armed, flies_to, flown, flying, press, reaches
 from twodof.flightlog.files import read_log
@@ -159,6 +159,32 @@ def test_what_the_failsafe_flies_is_no_flown_step(lab_server: LabServer, open_pa
     steps = page.get_by_role("table", name="Steps as they are flown").get_by_role("rowheader")
     expect(steps.filter(has_text="→ 15")).to_have_count(1)
     expect(steps.filter(has_text="15.0 →")).to_have_count(0)
+
+
+def test_a_lost_link_is_connected_again_by_a_button(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page("about:blank", own=True)
+    sockets: list[WebSocketRoute] = []
+    cut: list[bool] = []
+
+    def relay(socket: WebSocketRoute) -> None:
+        sockets.append(socket)
+        if cut:
+            socket.close()
+        else:
+            socket.connect_to_server()
+
+    page.route_web_socket(re.compile("/api/telemetry"), relay)
+    page.goto(lab_server.link)
+    reaches(page, "Position x", 0.0, 0.05)
+    cut.append(True)
+    sockets[-1].close()
+    again = page.get_by_role("button", name="Connect again")
+    expect(again).to_be_visible()
+    assert axe(page, ".troubles") == []
+    cut.clear()
+    again.click()
+    expect(page.get_by_text("Connected to the server again.")).to_be_visible()
+    expect(again).to_be_hidden()
 
 
 def test_a_slept_tab_reports_it_and_resumes(lab_server: LabServer, open_page: OpenPage) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import os
 import subprocess
 import time
+import zipfile
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from pathlib import Path
@@ -14,9 +16,10 @@ from typing import Any
 import pytest
 
 from tests.patience import PATIENCE_S, patiently
+from tests.slx.files import written
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, UnitDelay
-from twodof.blocks.schema.json_form import to_json
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile.toolchain import compilers
 from twodof.errors import DiagramError, LogError, Rejected, Timeout, TwodofError
 from twodof.flight.starters import starter
@@ -147,3 +150,37 @@ def test_the_catalogue_says_what_to_run_where_nothing_can_be_simulated(monkeypat
     monkeypatch.setenv("PATH", "")
     said = diagram_work.catalogue()["not_simulated"]
     assert said.startswith("there is no compiler for WebAssembly: run `pip install ziglang`")
+
+
+def simulink(folder: Path, *files: tuple[str, bytes], system: str = "") -> dict[str, Any]:
+    """What the laboratory says of a model that came as these files."""
+    (folder / "files").write_bytes(b"".join(content for _, content in files))
+    names, sizes = [name for name, _ in files], [len(content) for _, content in files]
+    return diagram_work.simulink(str(folder), names, sizes, system)
+
+
+@pytest.mark.parametrize("layout", ["single", "counts", "text", "braces"])
+def test_a_simulink_model_is_drawn_and_translated(tmp_path: Path, layout: str) -> None:
+    model = written(layout, tmp_path)
+    workspace = ("gains.m", b"g.ki = 0.25; M_MAX = 0.2;")
+    (tmp_path / "in").mkdir()
+    bare = simulink(tmp_path / "in", (model.name, model.read_bytes()))
+    assert bare["text"] == ""
+    assert {line["path"] for line in bare["report"] if line["status"] == "refused"} >= {"P gain"}
+    found = simulink(tmp_path / "in", (model.name, model.read_bytes()), workspace)
+    assert set(from_json(found["text"]).parts) >= {"P_gain", "limits_all"}
+    assert found["svg"].startswith("<svg")
+    assert ["limits//all", 3] in found["systems"]
+    inner = simulink(tmp_path / "in", (model.name, model.read_bytes()), workspace, system="limits//all")
+    assert set(from_json(inner["text"]).parts) == {"Saturation"}
+
+
+def test_hostile_simulink_files_are_refused(tmp_path: Path) -> None:
+    bomb = io.BytesIO()
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("simulink/blockdiagram.xml", b" " * (300 << 20))
+    for content in (b"", b"PK", bomb.getvalue()):
+        with pytest.raises(DiagramError):
+            simulink(tmp_path, ("a.slx", content))
+    with pytest.raises(DiagramError, match="nowhere"):
+        simulink(tmp_path, ("single.slx", written("single", tmp_path).read_bytes()), system="nowhere")
