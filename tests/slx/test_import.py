@@ -478,3 +478,20 @@ def test_what_hangs_on_a_refused_block_is_not_reached(tmp_path: Path) -> None:
     assert found.diagram is None
     stood = {line.path: line.status for line in found.report}
     assert stood == {"own": "refused", "parts": "not reached", "second": "not reached"}
+
+
+def test_vectors_of_parameters_go_element_by_element(tmp_path: Path) -> None:
+    blocks = [
+        ("Step", "step", {"Time": "[.02 .05 0]", "After": "[1; 2; 3]"}),
+        ("RateLimiter", "slow", {"RisingSlewLimit": "[10 20 1e9]", "SampleTimeMode": "inherited"}),
+        ("Outport", "y", {}),
+    ]
+    found = import_system(
+        read_model(slx(model(blocks, [("step", "slow"), ("slow", "y")]), tmp_path / "m.slx")), dt=DT
+    )
+    y = flown(found, {}, 30)["y"]
+    steps = np.arange(30)[:, None]
+    ramps = (steps - [1, 4, -np.inf]) * [0.1, 0.2, 1.0]  # a slew limit of 10 is .1 a step; the first step is at tick 2
+    assert np.allclose(y, np.clip(ramps, 0.0, [1.0, 2.0, 3.0]), rtol=0.0, atol=1e-14)
+    (refused,) = one_block(tmp_path, "RateLimiter", {"RisingSlewLimit": "[1 2 3]"}, width=2).refused
+    assert refused.why == "its vectors have 2 and 3 elements"

@@ -31,7 +31,7 @@ from twodof.errors import DiagramError
 from twodof.slx.matlab import evaluate, names_in
 from twodof.slx.matlab_function import MatlabFunction
 from twodof.slx.matlab_values import as_array
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, passes
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, each, expanded, passes
 
 Next = Callable[..., Any]
 """Next value of a state, of the time, the inputs and the states."""
@@ -521,7 +521,7 @@ def _discrete_state_space(c: Asked) -> Made:
 
 
 COMPOSITE_RULES: dict[str, Rule] = {
-    "Backlash": _backlash,
+    "Backlash": each(_backlash, "BacklashWidth", "InitialOutput"),
     "Band-Limited White Noise": _white_noise,
     "Coulomb & Viscous Friction": _friction,
     "Counter Free-Running": _counter,
@@ -537,7 +537,7 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Detect Rise Nonnegative": _becomes(lambda u: u >= 0.0),
     "Detect Rise Positive": _becomes(lambda u: u > 0.0),
     "Difference": lambda c: formula(c, lambda t, u, x: u - x, x=(c.scalar("ICPrevInput", "0.0"), lambda t, u, x: u)),
-    "DiscretePulseGenerator": _pulse,
+    "DiscretePulseGenerator": each(_pulse, "Amplitude", "Period", "PulseWidth", "PhaseDelay"),
     "DiscreteStateSpace": _discrete_state_space,
     "Fcn": _expression,
     "InitialCondition": _first,
@@ -549,26 +549,26 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "ManualSwitch": _manual_switch,
     "MultiPortSwitch": _multiport,
     "Polyval": lambda c: Made(Polynomial(c.value("coefs", "[1 2 3]").flatten().tolist()), [Signal()]),
-    "Quantizer": _quantizer,
+    "Quantizer": each(_quantizer, "QuantizationInterval"),
     "Radians to Degrees": lambda c: Made(Gain(180.0 / math.pi, c.width), [Signal("real", c.width)]),
     "Ramp": lambda c: Made(
         Ramp(c.scalar("start", "0"), c.scalar("slope", "1"), c.scalar("InitialOutput", c.text("X0", "0"))), [Signal()]
     ),
     "Rate Limiter Dynamic": _rate_limiter_dynamic,
-    "RateLimiter": _rate_limiter,
+    "RateLimiter": each(_rate_limiter, "RisingSlewLimit", "FallingSlewLimit", "InitialCondition"),
     "Repeating Sequence": _sequence,
     "Repeating Sequence Stair": _stairs,
     "Saturation Dynamic": _one_input(lambda up, u, low: where(u > up, up, where(u < low, low, u))),
     "SignalConversion": passes,
     "SignalGenerator": _generator,
     "S-R Flip-Flop": _flip_flop,
-    "Sin": _sine,
+    "Sin": each(_sine, "Amplitude", "Bias", "Frequency", "Phase"),
     "Slider Gain": lambda c: Made(Gain(c.scalar("gain", "1"), c.width), [Signal("real", c.width)]),
     "Tapped Delay": _tapped,
     "Transfer Fcn First Order": _pole,
     "Transfer Fcn Lead or Lag": _pole,
     "Transfer Fcn Real Zero": _pole,
-    "UniformRandomNumber": _uniform,
+    "UniformRandomNumber": each(_uniform, "Minimum", "Maximum", "Seed"),
     "Unit Delay Enabled": _enabled_delay,
     "Wrap To Zero": _wrap,
 }

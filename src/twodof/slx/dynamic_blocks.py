@@ -1,4 +1,4 @@
-"""Simulink's blocks with a memory or a _clock: delays, integrators, filters, controllers, _noise, sources of time.
+"""Simulink's blocks with a memory or a clock: delays, integrators, filters, controllers, noise, sources of time.
 
 Each has the order of operations of MathWorks' C: a Discrete Derivative keeps the scaled input, a filter is in direct
 form II.
@@ -7,25 +7,21 @@ form II.
 import math
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from twodof.blocks import Block, Diagram
+from twodof.blocks import Diagram
 from twodof.blocks.action_group import resettable_integrator
 from twodof.blocks.bus import Bus
 from twodof.blocks.elementary.functions import floor
-from twodof.blocks.elementwise import port_series
 from twodof.blocks.expressions.expr import where
 from twodof.blocks.library import (
     Constant,
     Delay,
-    Demux,
     DiscreteIntegrator,
     Gain,
     Integrator,
-    Mux,
     Noise,
     Product,
     Relay,
@@ -41,11 +37,11 @@ from twodof.blocks.library import (
 from twodof.slx.composite_blocks import Formula
 from twodof.slx.conditions import ControlEdge
 from twodof.slx.data_types import value_of
-from twodof.slx.translation import Asked, Item, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
+from twodof.slx.translation import Asked, Item, Made, NotTranslated, Rule, Signal, each, expanded, passes, plain, same
 
 
 def _initial(c: Asked, *names: str) -> tuple[Any, Signal]:
-    """Return initial condition and signal of a _delay, which may be wider than a scalar input."""
+    """Return initial condition and signal of a delay, which may be wider than a scalar input."""
     name = next((one for one in names if one in c.values), names[0])
     known = c.inputs[0]
     if isinstance(known.kind, Bus):
@@ -380,34 +376,6 @@ def _relay(c: Asked) -> Made:
     return same(c, Relay(on, off, c.scalar("OnOutputValue", "1"), c.scalar("OffOutputValue", "0")))
 
 
-def each(rule: Rule) -> Rule:
-    """Return the rule of a block that takes the elements of a vector one by one."""
-
-    def made(c: Asked) -> Made:
-        width = c.width
-        if width is None:
-            return rule(c)
-        alone = replace(c, inputs=[replace(one, width=None, shape=None) for one in c.inputs])
-        d, y = Diagram("each"), dict[str, str]()
-        for k, one in enumerate(c.inputs):
-            d.input(f"u{k}", one.kind, one.width)
-            if one.width is not None:
-                d.add(f"split{k}", Demux(width, one.kind), u=f"u{k}")
-        for name in port_series(width):
-            one_of = rule(replace(alone, inputs=list(alone.inputs))).item
-            if one_of is None:
-                raise NotTranslated("its vector is not translated")
-            ports = [port.name for port in one_of.inputs] if isinstance(one_of, Block) else list(one_of.inputs)
-            sources = [f"u{k}" if one.width is None else f"split{k}.{name}" for k, one in enumerate(c.inputs)]
-            d.add(f"of_{name}", one_of, inputs=dict(zip(ports, sources, strict=True)))
-            y[name] = f"of_{name}.y"
-        d.add("y", Mux(width), inputs=y)
-        d.output("y", "y")
-        return Made(d, [Signal("real", width)], expand=False)
-
-    return made
-
-
 DYNAMIC_RULES: dict[str, Rule] = {
     "Clock": _clock,
     "Delay": _delay,
@@ -418,14 +386,14 @@ DYNAMIC_RULES: dict[str, Rule] = {
     "DiscreteTransferFcn": each(_discrete_transfer),
     "Integrator": _integrator,
     "Memory": _unit_delay,
-    "PID Controller": each(_pid),
-    "RandomNumber": _noise,
-    "Relay": each(_relay),
+    "PID Controller": each(_pid, "P", "I", "D", "N"),
+    "RandomNumber": each(_noise, "Mean", "Variance", "Seed"),
+    "Relay": each(_relay, "OnSwitchValue", "OffSwitchValue", "OnOutputValue", "OffOutputValue"),
     "SecondOrderIntegrator": _second_order,
     "StateSpace": _state_space,
-    "Step": _step,
+    "Step": each(_step, "Time", "Before", "After"),
     "TransferFcn": each(_transfer),
-    "TransportDelay": each(_transport_delay),
+    "TransportDelay": each(_transport_delay, "DelayTime", "InitialOutput"),
     "UnitDelay": _unit_delay,
 }
 STATEFUL = ("UnitDelay", "Memory", "Delay", "DiscreteIntegrator", "Integrator", "SecondOrderIntegrator", "TransferFcn",

@@ -12,7 +12,7 @@ from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.enumeration import Kind
-from twodof.blocks.library import MatrixGain, Mux, ZeroOrderHold
+from twodof.blocks.library import Demux, MatrixGain, Mux, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.matlab import evaluate
 from twodof.slx.matlab_values import Value, number
@@ -159,6 +159,39 @@ def expanded(d: Diagram, source: str, signal: Signal, width: int | None) -> str:
     elif name not in d.parts:
         d.add(name, Mux(width, signal.number), inputs=dict.fromkeys(port_series(width), source))
     return name
+
+
+def each(rule: Rule, *parameters: str) -> Rule:
+    """Return the rule of a block that takes the elements of its vectors one by one: of inputs and of `parameters`."""
+
+    def made(c: Asked) -> Made:
+        vectors = {name: c.value(name, "0").flatten(order="F") for name in parameters if name in c.values}
+        sizes = {value.size for value in vectors.values() if value.size > 1} | ({c.width} - {None})
+        if not sizes:
+            return rule(c)
+        if len(sizes) > 1:
+            raise NotTranslated(f"its vectors have {' and '.join(map(str, sorted(sizes)))} elements")
+        width = sizes.pop()
+        alone = [replace(one, width=None, shape=None) for one in c.inputs]
+        d, y = Diagram("each"), dict[str, str]()
+        for k, one in enumerate(c.inputs):
+            d.input(f"u{k}", one.kind, one.width)
+            if one.width is not None:
+                d.add(f"split{k}", Demux(width, one.kind), u=f"u{k}")
+        for k, name in enumerate(port_series(width)):
+            values = {key: repr(float(value[min(k, value.size - 1)])) for key, value in vectors.items()}
+            one_of = rule(replace(c, inputs=list(alone), values={**c.values, **values})).item
+            if one_of is None:
+                raise NotTranslated("its vector is not translated")
+            ports = [port.name for port in one_of.inputs] if isinstance(one_of, LibraryBlock) else list(one_of.inputs)
+            sources = [f"u{j}" if one.width is None else f"split{j}.{name}" for j, one in enumerate(c.inputs)]
+            d.add(f"of_{name}", one_of, inputs=dict(zip(ports, sources, strict=True)))
+            y[name] = f"of_{name}.y"
+        d.add("y", Mux(width), inputs=y)
+        d.output("y", "y")
+        return Made(d, [Signal("real", width)], expand=False)
+
+    return made
 
 
 def passes(c: Asked) -> Made:
