@@ -486,9 +486,7 @@ def test_vectors_of_parameters_go_element_by_element(tmp_path: Path) -> None:
         ("RateLimiter", "slow", {"RisingSlewLimit": "[10 20 1e9]", "SampleTimeMode": "inherited"}),
         ("Outport", "y", {}),
     ]
-    found = import_system(
-        read_model(slx(model(blocks, [("step", "slow"), ("slow", "y")]), tmp_path / "m.slx")), dt=DT
-    )
+    found = import_system(read_model(slx(model(blocks, [("step", "slow"), ("slow", "y")]), tmp_path / "m.slx")), dt=DT)
     y = flown(found, {}, 30)["y"]
     steps = np.arange(30)[:, None]
     ramps = (steps - [1, 4, -np.inf]) * [0.1, 0.2, 1.0]  # a slew limit of 10 is .1 a step; the first step is at tick 2

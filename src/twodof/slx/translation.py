@@ -166,7 +166,8 @@ def each(rule: Rule, *parameters: str) -> Rule:
 
     def made(c: Asked) -> Made:
         vectors = {name: c.value(name, "0").flatten(order="F") for name in parameters if name in c.values}
-        sizes = {value.size for value in vectors.values() if value.size > 1} | ({c.width} - {None})
+        sizes = {value.size for value in vectors.values() if value.size > 1}
+        sizes |= set() if c.width is None else {c.width}
         if not sizes:
             return rule(c)
         if len(sizes) > 1:
