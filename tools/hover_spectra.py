@@ -18,6 +18,7 @@ from twodof.experiment.flight import flight_log
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.rotor_speed import rotor_speed
 from twodof.rig.parameters import load_rig
 from twodof.rig.steady_state import velocity_gain
 from twodof.signals import HOVER, MODES, OFF, PERIOD
@@ -96,12 +97,29 @@ def band_powers(log: FlightLog, stretches: Sequence[tuple[float, float]]) -> dic
 
 
 def fly_hold(hold: Hold, log: FlightLog, loop: ClosedLoop, seed: int) -> dict[str, Array]:
-    """Return the band powers of the rig in a hold as long as the logged one, on a rail that tilts as much."""
+    """Return the band powers of the rig in a hold as long as the logged one, on a rail that tilts as much.
+
+    Its rotors turn as fast as the drone's, where the log has a clear line: how full a pack was, no log says.
+    """
     pitch = np.concatenate([log["theta"].slice(*stretch).value for stretch in hold.stretches])
     loop.tune(NAMED[hold.gains])
     mass = loop.rig["mass_drone"] + loop.rig["mass_cart"]
     push = 0.0 if hold.rings else mass * velocity_gain(loop.rig) * float(np.sin(pitch.mean()))
-    loop.configure({"rings": hold.rings, "rail_force": push, "noise": 1.0, "seed": seed})
+    own = loop.rig["rotor_hz"]
+    loop.configure({"rings": hold.rings, "rail_force": push, "noise": 1.0, "seed": seed, "rotor_hz": own})
+    flown, later = _flown(hold, loop)
+    begin, end = hold.stretches[0][0], hold.stretches[-1][1]
+    turns = rotor_speed(log, begin, end)
+    if turns is not None:
+        volts = flown["voltage"].slice(begin + later, end + later).value.mean()
+        full = loop.rig["voltage_full"] - loop.rig["resistance"] * loop.rig["hover_current"]
+        loop.configure({"rotor_hz": turns * full / volts})
+        flown, later = _flown(hold, loop)
+    return band_powers(flown, [(t0 + later, t1 + later) for t0, t1 in hold.stretches])
+
+
+def _flown(hold: Hold, loop: ClosedLoop) -> tuple[FlightLog, float]:
+    """Return a flight of the hold, from rest, and how much later [s] than in the log its rotors start."""
     loop.machine.reset()
     still = 125
     steps = still + round((hold.stretches[-1][1] - hold.start) / PERIOD)
@@ -109,8 +127,7 @@ def fly_hold(hold: Hold, log: FlightLog, loop: ClosedLoop, seed: int) -> dict[st
     mode[:still] = OFF
     thrust = np.where((mode != OFF) & hold.rings, HOVER, 0.0)
     flown = flight_log(loop.fly(steps, {"mode": mode, "thrust": thrust}), mode, {})
-    later = float(flown["M"].time[still]) - hold.start
-    return band_powers(flown, [(t0 + later, t1 + later) for t0, t1 in hold.stretches])
+    return flown, float(flown["M"].time[still]) - hold.start
 
 
 def ratios(rig: str = "lab") -> dict[tuple[str, bool, str], Array]:
