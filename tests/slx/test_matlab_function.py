@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.slx.test_matlab import octave
-from twodof.blocks import Diagram
+from twodof.blocks import Bus, Diagram, Port
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.errors import DiagramError
@@ -292,3 +292,39 @@ def test_a_statement_that_is_not_translated_is_said_by_its_line(line: str, said:
 def test_an_error_is_left_out_and_noted() -> None:
     block = MatlabFunction("function y = f(u)\ny = u;\nif u > 5, error('too much'); end", [REAL])
     assert block.notes == ["line 3: error() is left out"]
+
+
+def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:
+    (tmp_path / "smoothed.m").write_text(
+        "function y = smoothed(u)\n% first order\npersistent x\nif isempty(x), x = 0; end\n"
+        "x = .5 * x + half(u);\ny = x;\n\nfunction h = half(u)\nh = u / 2;\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "script.m").write_text("a = 1;", encoding="utf-8")
+    block = MatlabFunction("function y = f(u)\ny = smoothed(u) + 1;", [REAL], folders=[tmp_path])
+    assert [(s.name, s.initial) for s in block.states] == [("smoothed_smoothed_x", 0.0)]
+    d = Diagram("d")
+    d.input("u")
+    d.add("f", block, u="u")
+    d.output("y", "f.y")
+    got = build(from_json(to_json(d)), dt=0.01).machine().run(3, {"u": np.array([2.0, 4.0, 0.0])})
+    assert got["y"].tolist() == [2.0, 3.5, 2.25]
+    with pytest.raises(DiagramError, match=r"line 2: script.m: there is no function in it"):
+        MatlabFunction("function y = f(u)\ny = script(u);", [REAL], folders=[tmp_path])
+    with pytest.raises(DiagramError, match="line 2: other is not computed"):
+        MatlabFunction("function y = f(u)\ny = other(u);", [REAL], folders=[tmp_path])
+
+
+def test_a_bus_is_a_structure() -> None:
+    bus = Bus("Rates", [Port("p"), Port("q", width=2), Port("inner", Bus("Inner", [Port("n", "int8")]))])
+    code = "function y = f(s, g)\ns.q(2) = s.q(2) + g;\nif s.p > 0, s.inner.n = int8(1); end\n"
+    block = MatlabFunction(f"{code}y = [s.p; s.q; double(s.inner.n)];", [Signal(bus), REAL])
+    d = Diagram("d")
+    d.input("s", bus)
+    d.input("g")
+    d.add("f", block, s="s", g="g")
+    d.output("y", "f.y")
+    machine = build(from_json(to_json(d)), dt=0.01).machine()
+    given = {"p": 1.0, "q": [2.0, 3.0], "inner": {"n": 7}}
+    assert list(machine.step({"s": given, "g": 0.5})["y"]) == [1.0, 2.0, 3.5, 1.0]
+    assert list(machine.step({"s": {**given, "p": -1.0}, "g": 0.5})["y"]) == [-1.0, 2.0, 3.5, 7.0]

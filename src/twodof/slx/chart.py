@@ -12,6 +12,7 @@ Charts in MATLAB's language are translated, without events and graphical functio
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -472,8 +473,11 @@ def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
     raise NotTranslated(f"{text[:60]!r} has no {closing}")
 
 
-def function_rule(chart: SimulinkChart | None) -> Rule:
-    """Return the rule of a MATLAB Function or a chart. Its ports have the names of those in its subsystem."""
+def function_rule(chart: SimulinkChart | None, folders: Sequence[Path] = ()) -> Rule:
+    """Return the rule of a MATLAB Function or a chart, which may call the functions of .m files in `folders`.
+
+    Its ports have the names of those in its subsystem.
+    """
 
     def made(c: Asked) -> Made:
         if chart is None:
@@ -484,14 +488,14 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
             for kind in ("Inport", "Outport")
         )
         if chart.function:
-            item = MatlabFunction(chart.text, c.inputs, c.names, inputs)
+            item = MatlabFunction(chart.text, c.inputs, c.names, inputs, folders=folders)
         elif chart.form is None or len(inputs) != len(c.inputs):
             raise NotTranslated("its chart is not read from this form of file")
         else:
             code = chart_code(chart.form, inputs, outputs, c.names, c.dt)
             enumerations = {name: value for name, value in c.names.items() if isinstance(value, Members)}
             try:
-                item = MatlabFunction(code.text, c.inputs, enumerations | code.known, inputs, code.declared)
+                item = MatlabFunction(code.text, c.inputs, enumerations | code.known, inputs, code.declared, folders)
             except DiagramError as reason:
                 line = re.match(r"line (\d+): (.*)", reason.what, re.DOTALL)
                 owner = code.owners[int(line[1]) - 1] if line is not None else ""

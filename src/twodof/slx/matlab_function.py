@@ -8,6 +8,7 @@ apart and chosen by a state that says whether it was. The block travels in JSON 
 import keyword
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,8 +43,9 @@ class MatlabFunction(Block):
     """The function `code` of inputs of these types, in the order of its arguments.
 
     Arguments that are not among the input `ports` have values of the workspace, `names`; without ports they are the
-    last ones. `declared` are kinds of names, as a chart has them: then the function sees all `names`. `notes` say what
-    is left out. Raises DiagramError with the line of a statement that is not translated.
+    last ones. `declared` are kinds of names, as a chart has them: then the function sees all `names`. It calls the
+    functions of .m files in `folders`. `notes` say what is left out. Raises DiagramError with the line of a statement
+    that is not translated.
     """
 
     def __init__(
@@ -53,9 +55,10 @@ class MatlabFunction(Block):
         names: Mapping[str, Value] | None = None,
         ports: Sequence[str] = (),
         declared: Mapping[str, str] | None = None,
+        folders: Sequence[Path] = (),
     ) -> None:
         try:
-            self.code = Code(code)
+            self.code = Code(code, folders)
             self.code.known |= {
                 k: v for k, v in (names or {}).items() if isinstance(v, Members) or declared is not None
             }
@@ -199,7 +202,7 @@ def _same(one: tuple[Names, Names], other: tuple[Names, Names]) -> bool:
 
 
 def _state_name(name: str) -> str:
-    return name.replace(".", "_")
+    return re.sub(r"\W", "_", name)
 
 
 def _port(name: str) -> str:

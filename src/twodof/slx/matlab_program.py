@@ -9,13 +9,15 @@ from collections import Counter
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twodof.blocks.expressions.expr import where
-from twodof.errors import DiagramError
-from twodof.slx.matlab import BLOCK_COMMENT, SILENT, Machine, Parser, next_statement, tokens_of
+from twodof.errors import DiagramError, LogError
+from twodof.flightlog import fence
+from twodof.slx.matlab import BLOCK_COMMENT, SILENT, Machine, Parser, next_statement, script_text, tokens_of
 from twodof.slx.matlab_signals import truth
 from twodof.slx.matlab_values import (
     Array,
@@ -61,7 +63,12 @@ class Code:
     Raises NotComputed for a text that cannot be read.
     """
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, folders: Sequence[Path] = ()) -> None:
+        self.folders = folders
+        self.files: dict[str, Code | None] = {}
+        """The functions of the folders by name; None for a name without a file."""
+        self.prefix = ""
+        """What the names of persistent variables begin with."""
         self.tokens = tokens_of(BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), text))
         self.initial: dict[str, Value] = {}
         """First values of persistent variables, as the last run found them empty."""
@@ -95,6 +102,24 @@ class Code:
         made = [self._function(head, end) for head, end in zip(heads, ends, strict=True)]
         self.main = made[0]
         self.functions = {one.name: one for one in made}
+
+    def file(self, name: str) -> "Code | None":
+        """Return the code of NAME.m in one of the folders; None where there is none."""
+        if name not in self.files:
+            candidates = (one / f"{name}.m" for one in self.folders) if name.isidentifier() else ()
+            path = next((one for one in candidates if one.is_file()), None)
+            self.files[name] = None
+            if path is not None:
+                try:
+                    made = Code(fence.read(script_text, path)[0], self.folders)
+                except LogError as reason:
+                    raise NotComputed(str(reason)) from None
+                except NotComputed as reason:
+                    raise NotComputed(f"{path.name}: {reason}") from None
+                made.files, made.initial, made.notes, made.known = self.files, self.initial, self.notes, self.known
+                made.prefix = f"{name}/"
+                self.files[name] = made
+        return self.files[name]
 
     def _words(self) -> list[tuple[int, str]]:
         """Return the keywords that open, part or close a block: neither a field nor the `end` of an index."""
@@ -146,7 +171,11 @@ class Program(Parser):
         self.at = self.function_run.start
         self.block(self.function_run.stop)
         for name in self.persistent:
-            self.machine.names[f"{self.function_run.name}.{name}"] = self.machine.names[name]
+            self.machine.names[self._kept(name)] = self.machine.names[name]
+
+    def _kept(self, name: str) -> str:
+        """Return the name under which a persistent variable is kept between calls."""
+        return f"{self.code.prefix}{self.function_run.name}.{name}"
 
     def block(self, stop: int) -> None:
         """Carry out the statements up to a token."""
@@ -172,7 +201,7 @@ class Program(Parser):
             if self.function_run is self.code.main:
                 self._convert()
             for name in empty - self._empty():
-                self.code.initial[f"{self.function_run.name}.{name}"] = self.machine.names[name]
+                self.code.initial[self._kept(name)] = self.machine.names[name]
         self.at = stop
 
     def _convert(self) -> None:
@@ -240,7 +269,7 @@ class Program(Parser):
             self.at += 1
             while self.here.kind == "name":
                 self.persistent.append(self.here.text)
-                kept = f"{self.function_run.name}.{self.here.text}"
+                kept = self._kept(self.here.text)
                 self.machine.names[self.here.text] = self.machine.names.setdefault(kept, EMPTY)
                 self.at += 1
                 self.skip(",")
@@ -404,14 +433,16 @@ class Program(Parser):
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Call a function of the program, or one of MATLAB's."""
-        function = self.code.functions.get(name)
+        code, function = self.code, self.code.functions.get(name)
+        if function is None and (found_file := self.code.file(name)) is not None:
+            code, function = found_file, found_file.main
         if function is None:
             if name == "size" and count == 2:
                 count = 1
             return super().called(name, arguments, bracket, count)
         if len(arguments) > len(function.arguments):
             raise NotComputed(f"{name} takes {len(function.arguments)} arguments")
-        found = call(self.code, function, arguments, self.machine, self.calls + 1)
+        found = call(code, function, arguments, self.machine, self.calls + 1)
         if count > 1:
             return [found.get(one) for one in function.results]
         return found.get(function.results[0]) if function.results else None
