@@ -493,3 +493,20 @@ def test_vectors_of_parameters_go_element_by_element(tmp_path: Path) -> None:
     assert np.allclose(y, np.clip(ramps, 0.0, [1.0, 2.0, 3.0]), rtol=0.0, atol=1e-14)
     (refused,) = one_block(tmp_path, "RateLimiter", {"RisingSlewLimit": "[1 2 3]"}, width=2).refused
     assert refused.why == "its vectors have 2 and 3 elements"
+
+
+def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:
+    (tmp_path / "twice.m").write_text("% doubles\nfunction y = twice(u)\ny = helped(u) + offset_of(1);\n"
+                                      "function y = helped(u)\ny = 2 * u;\n")  # fmt: skip
+    (tmp_path / "offset_of.m").write_text("function k = offset_of(n)\n  if n == 1\n    k = .5;\n  end\nend\n")
+    (tmp_path / "k.m").write_text("k = 7;\n")
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("MATLABFcn", "f", {"MATLABFcn": "twice(u) - k"}),
+        ("Outport", "y", {}),
+    ]
+    whole = read_model(slx(model(blocks, [("u", "f"), ("f", "y")]), tmp_path / "m.slx"))
+    found = import_system(whole, workspace={"k": np.array([[3.0]])}, folders=[tmp_path], dt=DT)
+    assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], 2.0 * DRAWN[0] + 0.5 - 3.0)
+    (refused,) = import_system(whole, workspace={"k": np.array([[3.0]])}, dt=DT).refused
+    assert "twice" in refused.why

@@ -12,7 +12,6 @@ Charts in MATLAB's language are translated, without events and graphical functio
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -473,8 +472,8 @@ def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
     raise NotTranslated(f"{text[:60]!r} has no {closing}")
 
 
-def function_rule(chart: SimulinkChart | None, folders: Sequence[Path] = ()) -> Rule:
-    """Return the rule of a MATLAB Function or a chart, which may call the functions of .m files in `folders`.
+def function_rule(chart: SimulinkChart | None) -> Rule:
+    """Return the rule of a MATLAB Function or a chart, which may call the functions of .m files.
 
     Its ports have the names of those in its subsystem.
     """
@@ -488,14 +487,14 @@ def function_rule(chart: SimulinkChart | None, folders: Sequence[Path] = ()) -> 
             for kind in ("Inport", "Outport")
         )
         if chart.function:
-            item = MatlabFunction(chart.text, c.inputs, c.names, inputs, folders=folders)
+            item = MatlabFunction(chart.text, c.inputs, c.names, inputs, folders=c.folders)
         elif chart.form is None or len(inputs) != len(c.inputs):
             raise NotTranslated("its chart is not read from this form of file")
         else:
             code = chart_code(chart.form, inputs, outputs, c.names, c.dt)
             enumerations = {name: value for name, value in c.names.items() if isinstance(value, Members)}
             try:
-                item = MatlabFunction(code.text, c.inputs, enumerations | code.known, inputs, code.declared, folders)
+                item = MatlabFunction(code.text, c.inputs, enumerations | code.known, inputs, code.declared, c.folders)
             except DiagramError as reason:
                 line = re.match(r"line (\d+): (.*)", reason.what, re.DOTALL)
                 owner = code.owners[int(line[1]) - 1] if line is not None else ""

@@ -501,7 +501,9 @@ def _expression(c: Asked) -> Made:
     text = text if re.search(r"\bu\b", text) else f"{text}(u)"
     known = [name for name in names_in(text) if name in c.names and name != "u"]
     c.kind("real")
-    item = MatlabFunction(f"function y = f({', '.join(['u', *known])})\ny = {text};", c.inputs[:1], c.names)
+    item = MatlabFunction(
+        f"function y = f({', '.join(['u', *known])})\ny = {text};", c.inputs[:1], c.names, folders=c.folders
+    )
     return Made(item, [Signal("real", item.outputs[0].width)], expand=False)
 
 

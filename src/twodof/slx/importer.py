@@ -494,7 +494,7 @@ class _Import(Wiring):
         """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
         block, path = self.blocks[key], key[0]
         code = self.code.get(f"{path}/{escaped(block.name)}".lstrip("/"))
-        rule = function_rule(code, self.folders) if block.kind in CODED else RULES.get(block.kind)
+        rule = function_rule(code) if block.kind in CODED else RULES.get(block.kind)
         rule = self._store(key) if block.type in STORES else rule
 
         def translate() -> None:
@@ -508,7 +508,7 @@ class _Import(Wiring):
             if self._backwards(key) and (wanted := self._wanted(key)):
                 values["OutDataTypeStr"] = wanted
             dt = self.dt * self.rates.get(key, BASE).divider
-            asked = Asked(block, path, values, self.sheets[path].names, inputs, dt, labels)
+            asked = Asked(block, path, values, self.sheets[path].names, inputs, dt, labels, folders=self.folders)
             made = matrix(asked, MATRIX_LINES[block.kind]) if makes_matrix(asked) else rule(asked)
             if block.type == "RateTransition":
                 made = self._transition(key, asked) or made

@@ -1,7 +1,8 @@
 """Translation of one Simulink block: what is asked, what it became, and the types of its signals."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,8 @@ class Asked:
     """Names of the lines at the inputs; "" for a line without one."""
     notes: list[str] = field(default_factory=list)
     """What is approximated."""
+    folders: Sequence[Path] = ()
+    """Where .m files of functions are."""
 
     def text(self, name: str, default: str = "") -> str:
         """Return a choice as it stands in the file."""
