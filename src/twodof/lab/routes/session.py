@@ -117,7 +117,7 @@ export_router = lab_router("/api/export", "export")
 MOST = 64 << 20
 """Largest body [bytes]: a quarter of an hour of fifteen columns."""
 _BINARY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
-Columns = Annotated[str, Query(max_length=4096, description="Names of the columns, separated by commas.")]
+Columns = Annotated[str, Query(max_length=1200, description="Names of the columns, separated by commas.")]
 
 
 @export_router.post("/mat", openapi_extra=_BINARY, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
