@@ -170,3 +170,12 @@ def test_a_parameter_object_counts_as_its_value() -> None:
 
 def test_an_assignment_to_nothing_names_nothing() -> None:
     assert assigned_names("= 3; k = 4;\nif = 2") == {"k"}
+
+
+def test_what_is_not_computed_leaves_nothing_behind() -> None:
+    """Neither the depth of brackets, nor being within a matrix, where a blank parts two numbers."""
+    names: dict[str, object] = {"v": number(evaluate("[1 2 3]", {}))}
+    skipped = run("a = [1 (none)];\nb = v(none(end));\n" * 40 + "c = 3 -1;\nd = end;", names)
+    assert len(skipped) == 81
+    assert names["c"] == 2  # type: ignore[comparison-overlap]
+    assert "d" not in names

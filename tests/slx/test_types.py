@@ -21,6 +21,7 @@ elems(1) = Simulink.BusElement;
 elems(1).Name = 'p'; elems(1).DataType = 'double';
 elems(2) = Simulink.BusElement;
 elems(2).Name = 'axes'; elems(2).Dimensions = 3;
+elems(3) = Simulink.BusElement; elems(3).Name = 'on'; elems(3).DataType = 'boolean';
 Rates = Simulink.Bus; Rates.Elements = elems;
 clear elems;
 elems(1) = Simulink.BusElement;
@@ -30,6 +31,7 @@ elems(2).Name = 'rates'; elems(2).DataType = 'Bus: Rates';
 Sensors = Simulink.Bus;
 Sensors.Elements = elems;
 start.count = 7; start.rates.p = 1.5; start.rates.axes = [1 2 3];
+start.rates.on = true;
 """
 
 
@@ -53,7 +55,13 @@ def test_buses_are_taken_apart_changed_and_made(tmp_path: Path) -> None:
     ]
     lines = [("in", "take"), ("take:1", "twice"), ("twice", "twofold"), ("in", "put:1"), ("p", "put:2")]
     lines += [("put", "changed"), ("take:3", "make:1"), ("take:2", "make:2"), ("make", "again")]
-    given = {"in.count": np.arange(200) % 256, "in.rates.p": DRAWN[0], "in.rates.axes": DRAWN.T.copy(), "p": DRAWN[1]}
+    given = {
+        "in.count": np.arange(200) % 256,
+        "in.rates.p": DRAWN[0],
+        "in.rates.axes": DRAWN.T.copy(),
+        "in.rates.on": np.ones(200, bool),
+        "p": DRAWN[1],
+    }
     found = flown(imported(tmp_path, blocks, lines), given)
     assert np.array_equal(found["twofold"], 2 * DRAWN[0])
     assert np.array_equal(found["changed.rates.p"], DRAWN[1])
@@ -202,6 +210,17 @@ def test_a_bus_in_itself_is_refused(tmp_path: Path) -> None:
 def test_a_whole_number_of_hexadecimal_digits_has_their_type() -> None:
     assert evaluate("0x1F", {}).dtype == np.uint8
     assert evaluate("0x0100 + 1", {})[0, 0] == 257
+
+
+def test_a_function_gives_the_buses_that_it_assigns_in_the_workspace(tmp_path: Path) -> None:
+    ending = "assignin('base', 'Given', Sensors);\nend\nfunction more()\nx = 1;\nend"
+    code = f"% buses\nfunction define(varargin)\n{BUSES}{ending}"
+    names: dict[str, object] = {"Rates": 5}
+    assert run(code, names) == []
+    assert [one["Name"] for one in names["Given"]["Elements"]] == ["count", "rates"]  # type: ignore[index]
+    assert set(names) == {"Rates", "Given"}
+    assert names["Rates"] == 5
+    assert [one.line for one in run("\nfunction define\nx = 1;\ny = load('a');", names)] == [4]
 
 
 # --- whole numbers
@@ -390,7 +409,7 @@ def test_a_type_is_taken_from_behind(tmp_path: Path, kind: str) -> None:
     ]
     lines = [*[("u", "c"), ("u", "d")] * len(source), ("c", "make:1"), ("rates", "make:2"), ("make", "bus")]
     lines += [("n", "sum:1"), ("d", "sum:2"), ("sum", "y")]
-    given = {"n": INT8 + 128, "rates.p": DRAWN[0], "rates.axes": DRAWN.T.copy()}
+    given = {"n": INT8 + 128, "rates.p": DRAWN[0], "rates.axes": DRAWN.T.copy(), "rates.on": DRAWN[2] > 0}
     given |= {"u": 300 + DRAWN[1]} if source else {}
     found = flown(imported(tmp_path, blocks, lines), given)
     value = {"Constant": 250, "Ground": 0, "DataTypeConversion": 255}[kind]

@@ -52,6 +52,9 @@ _TOKEN = re.compile(
       |(?P<text>"(?:[^"\n]|"")*")|(?P<line>\r?\n)""",
     re.VERBOSE,
 )
+_HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
+_NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
+_ASSIGNED_IN = re.compile(r"assignin\(\s*'base'\s*,\s*'(\w+)'\s*,\s*(\w+)\s*\)")
 _QUOTED = re.compile(r"'((?:[^'\n]|'')*)'")
 BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
 _BINARY = (("||",), ("&&",), ("|",), ("&",), ("<", "<=", ">", ">=", "==", "~=", "!="), (":",), ("+", "-"))
@@ -94,7 +97,16 @@ def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression
 
 
 def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
-    """Carry out a script in a workspace, which it changes; return the statements that were not computed."""
+    """Carry out a script in a workspace, which it changes; return the statements that were not computed.
+
+    A file of a function gives what it assigns in the base workspace, as scripts that define buses do.
+    """
+    if (head := _HEAD.match(code)) is not None:
+        own: dict[str, Value] = {}
+        body = re.sub(r"^\s*end\s*\Z", "", _NEXT_FUNCTION.split(code[head.end() :])[0], flags=re.MULTILINE)
+        lines = run("\n" * code[: head.end()].count("\n") + body, own)
+        workspace.update({name: own[given] for name, given in _ASSIGNED_IN.findall(body) if given in own})
+        return [one for one in lines if one.why != "assignin is not computed"]
     skipped: list[Skipped] = []
     machine = Machine(workspace)
     try:
@@ -111,12 +123,9 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
             if parser.here.kind != "end" and not parser.skip(";", ",", "line"):
                 raise NotComputed(f"'{parser.here.text}' is not expected")
         except NotComputed as reason:
-            parser.at = next_statement(tokens, start)
+            parser.at, parser.depth, parser.matrix, machine.ends = next_statement(tokens, start), 0, False, []
             for name in _assigned(tokens[start : parser.at]):
                 workspace.pop(name, None)
-            if tokens[start].text == "clear":
-                for token in tokens[start + 1 : parser.at]:
-                    workspace.pop(token.text, None)
             if tokens[start].text not in SILENT:
                 skipped.append(Skipped(line, str(reason)))
     return skipped
@@ -311,7 +320,9 @@ class Parser:
         self.machine.count()
         token = self.here
         if token.kind == "name" and token.text in SILENT:
-            self.at = next_statement(self.tokens, self.at) - 1
+            start, self.at = self.at, next_statement(self.tokens, self.at) - 1
+            for named in self.tokens[start + 1 : self.at + 1] if token.text.startswith("clear") else ():
+                self.machine.names.pop(named.text, None)
             return
         if token.kind == "name" and token.text in ("if", "for", "while", "switch", "function", "try", "global"):
             raise NotComputed(f"'{token.text}' is not computed")
