@@ -23,7 +23,7 @@ def matrix(c: Asked, line: Line) -> Made:
     text, values = line(c)
     names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
     code = f"function y = f({', '.join([*names, *values])})\n{text}"
-    item = MatlabFunction(code, c.inputs, values, list(values))
+    item = MatlabFunction(code, c.inputs, values, names)
     return Made(item, [signal_of(port) for port in item.outputs], expand=False)
 
 
