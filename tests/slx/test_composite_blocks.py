@@ -282,3 +282,21 @@ def test_a_library_of_the_users_is_not_taken_for_simulinks(tmp_path: Path) -> No
     found = import_system(read_model(path), "", {}, [tmp_path], DT)
     assert np.array_equal(run(found, [DRAWN[0]]), 9 * DRAWN[0])
     assert [line.path for line in found.report if line.status == "dropped"] == ["choice"]
+
+
+@pytest.mark.parametrize(
+    ("criteria", "threshold", "taken"),
+    [
+        ("u2 > Threshold", "0", lambda on: on),
+        ("u2 >= Threshold", "0", lambda on: on | True),
+        ("u2 > Threshold", "1", lambda on: on & False),
+        ("u2 ~= 0", "7", lambda on: on),
+    ],
+)
+def test_a_switch_compares_a_boolean_as_0_or_1_and_takes_a_boolean_beside_a_double(
+    tmp_path: Path, criteria: str, threshold: str, taken: Wanted
+) -> None:
+    values = {"Criteria": criteria, "Threshold": threshold}
+    found = one_block(tmp_path, "Switch", values, ("double", "boolean", "boolean"))
+    on, other = DRAWN[1] > 0, DRAWN[2] > 0
+    assert np.array_equal(run(found, [DRAWN[0], on, other]), np.where(taken(on), DRAWN[0], other.astype(float)))

@@ -6,7 +6,7 @@ left to right; a Discrete Derivative keeps the scaled input, and so on: each fun
 """
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -20,6 +20,7 @@ from twodof.blocks.library import (
     CompareToConstant,
     Concatenate,
     Constant,
+    Convert,
     DeadZone,
     Demux,
     DotProduct,
@@ -41,6 +42,7 @@ from twodof.blocks.library import (
     Trigonometry,
     ZeroOrderHold,
 )
+from twodof.blocks.library.logic import COMPARISONS
 from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
 from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, formula
 from twodof.slx.conditions import CONDITION_RULES
@@ -192,39 +194,36 @@ def _selector(c: Asked) -> Made:
 def _switch(c: Asked) -> Made:
     """Compute the criterion of the second input beside the choice between the first and the third."""
     first, control, third = c.inputs
-    alike = replace(first, width=None).like(replace(third, width=None))
+    mixed = {first.kind, third.kind} == {"real", "bool"}  # the boolean becomes 0 or 1
+    alike = mixed or replace(first, width=None).like(replace(third, width=None))
     if not alike or control.width is not None or isinstance(control.kind, Bus):
         raise NotTranslated(f"its inputs are {first} and {third}, and the control {control}")
     c.inputs = [first, third]
-    width, kind = c.width, first.kind
+    width, kind = c.width, "real" if mixed else first.kind
     criterion = c.needs("Criteria", "u2 >= Threshold", "u2 >= Threshold", "u2 > Threshold", "u2 ~= 0")
+    operation = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
+    threshold = 0.0 if criterion == "u2 ~= 0" else c.scalar("Threshold", "0")
     d = Diagram("switch")
-    d.input("u1", kind, first.width)
-    d.input("u2", control.kind)
+    d.input("u1", first.kind, first.width)
+    condition = d.input("u2", control.kind)
     d.input("u3", third.kind, third.width)
-    condition = "u2"
-    if control.kind != "bool":
-        operation = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
-        threshold = 0.0 if criterion == "u2 ~= 0" else c.scalar("Threshold", "0")
-        if control.kind != "real" and not threshold.is_integer():
-            raise NotTranslated(f"a comparison of {control} with Threshold = {threshold:g} is not translated")
-        d.add("condition", CompareToConstant(operation, threshold, control.kind), u="u2")
-        condition = "condition"
-    elif criterion != "u2 ~= 0" and not _OF_BOOLEAN[criterion](c.scalar("Threshold", "0")):
-        raise NotTranslated(f"Criteria = {criterion!r} of a boolean is not translated")
+    if control.kind == "bool":
+        low, high = (COMPARISONS[operation](value, threshold) for value in (0.0, 1.0))
+        if low == high:  # whatever the control is
+            condition = d.add("condition", Constant(high, "bool"))
+    elif control.kind != "real" and not threshold.is_integer():
+        raise NotTranslated(f"a comparison of {control} with Threshold = {threshold:g} is not translated")
+    else:
+        condition = d.add("condition", CompareToConstant(operation, threshold, control.kind), u="u2")
     sources = {}
     for name, one in (("u1", first), ("u3", third)):
-        sources[name] = expanded(d, name, one, width)
+        source = name
+        if mixed and one.kind == "bool":
+            source = d.add(f"{name}_real", Convert("bool", "real", width=one.width), u=name)
+        sources[name] = expanded(d, source, replace(one, kind=kind), width)
     d.add("y", Switch(kind, width), condition=condition, a=sources["u1"], b=sources["u3"])
     d.output("y", "y")
     return Made(d, [Signal(kind, width)], expand=False)
-
-
-# Thresholds with which a criterion of a boolean is the boolean itself.
-_OF_BOOLEAN: dict[str, Callable[[float], bool]] = {
-    "u2 >= Threshold": lambda value: 0.0 < value <= 1.0,
-    "u2 > Threshold": lambda value: 0.0 <= value < 1.0,
-}
 
 
 def _function(block: type[Any], functions: dict[str, str]) -> Rule:
