@@ -87,6 +87,7 @@ def assert_log(found: Imported, ticks: list[tuple[float, float, str]]) -> None:
         assert got[k] == float(written[-12:] or "0"), (k, digits, got[k])
 
 
+AT_START = '<P Name="executeAtInitialization">1</P>'
 NESTED = [
     state(1, f"A\nentry: {said(1)}\nduring: {said(2)}\nexit: {said(3)}"),
     state(
@@ -166,6 +167,11 @@ def test_inner_and_self_transitions_enter_what_they_left(tmp_path: Path) -> None
     assert_log(chart(tmp_path, "".join(parts)), ticks)
 
 
+def test_a_chart_entered_at_initialization_acts_in_the_first_tick(tmp_path: Path) -> None:
+    found = chart(tmp_path, "".join(NESTED).replace("after(2, tick)", "[v &gt; 0]"), settings=AT_START)
+    assert_log(found, [(0.0, 0.0, "12"), (1.0, 0.0, "83947"), (0.0, 1.0, "591")])
+
+
 def test_parallel_states_act_in_their_order(tmp_path: Path) -> None:
     def one(number: int, name: str, order: int, digit: int) -> str:
         inside = (
@@ -229,7 +235,11 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
         (way(1, None, 2) + state(2, "A") + '<event name="E"/>', "", "the event E is not translated"),
         (way(1, None, 2) + state(2, "f(x)", kind="FUNC_STATE"), "", "the graphical function f(x)"),
         (way(1, None, 2) + state(2, "A"), '<P Name="name">chart</P><P Name="actionLanguage">0</P>', "language is C"),
-        (way(1, None, 2) + state(2, "A"), '<P Name="executeAtInitialization">1</P>', "executes at initialization"),
+        (
+            way(1, None, 2, "{log = u;}") + state(2, "A"),
+            '<P Name="executeAtInitialization">1</P>',
+            "executes at initialization",
+        ),
         (
             way(1, None, 5)
             + junction(5)

@@ -278,7 +278,6 @@ def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
         ("try, y = u; catch, y = 0; end", "line 2: 'try' is not translated"),
         ("if u > 0, y = u; if u > 1", "line 2: a block has no end"),
         ("y = int8(u) + int16(u);", "int16 and int8 in one operation"),
-        ("y = single(u) < u;", "comparison of single with double"),
         ("y = f(u);", "functions call each other too deep"),
         ("v = u;", "the output y gets no value"),
         ("y = 0; for k = 1:1000000, y = y + k; end", "more than 50000 operations"),
@@ -289,9 +288,12 @@ def test_a_statement_that_is_not_translated_is_said_by_its_line(line: str, said:
         MatlabFunction(f"function y = f(u)\n{line}\nend", [REAL])
 
 
-def test_an_error_is_left_out_and_noted() -> None:
+def test_what_is_left_out_or_approximated_is_noted() -> None:
     block = MatlabFunction("function y = f(u)\ny = u;\nif u > 5, error('too much'); end", [REAL])
     assert block.notes == ["line 3: error() is left out"]
+    block = MatlabFunction("function y = f(u)\ny = single(u) + zeros(1, 1, 'single');", [REAL])
+    assert block.notes == ["single: computed in the precision of the build"]
+    assert [port.kind for port in block.outputs] == ["real"]
 
 
 def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:

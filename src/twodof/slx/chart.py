@@ -18,7 +18,7 @@ import numpy as np
 
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
-from twodof.slx.matlab import evaluate
+from twodof.slx.matlab import evaluate, names_in
 from twodof.slx.matlab_function import MatlabFunction
 from twodof.slx.matlab_values import FUNCTIONS, Members, Value, as_array, number
 from twodof.slx.model import SimulinkChart, collapsed, port_number
@@ -35,7 +35,6 @@ _AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
 _SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
 _SETTINGS = {
     "actionLanguage": ("2", "its action language is C"),
-    "executeAtInitialization": ("0", "it executes at initialization"),
     "initializeOutput": ("0", "its outputs are initialized at each tick"),
     "updateMethod": ("INHERITED", "it has an update method of its own"),
     "stateMachineType": ("CLASSIC", "it is a Moore or Mealy machine"),
@@ -109,6 +108,7 @@ class _Chart:
             if form["values"].get(setting, "" if setting == "actionLanguage" else value) != value:
                 raise NotTranslated(why)
         self.names, self.dt = names, dt
+        self.at_start = form["values"].get("executeAtInitialization", "0") == "1"
         self.states: dict[str, _State] = {}
         self.junctions: set[str] = set()
         self.scripts: list[str] = []
@@ -218,6 +218,11 @@ class _Chart:
         head += ["was_entered = true;"]
         clocks = [f"{name} = {name} + 1;" for name in self.clocks]
         middle = [("else", ""), *((line, "") for line in clocks), *step]
+        if self.at_start:  # the chart is entered before the first tick, which acts as any other
+            used = {name for line, _ in first for name in names_in(line)}
+            if self.clocks or used & set(inputs):
+                raise NotTranslated("it executes at initialization, with after() or with inputs in its entry")
+            middle = [("end", ""), ("if true", ""), *step]
         unread = {f"{one.since} = 0;" for one in self.states.values()} - {f"{name} = 0;" for name in self.clocks}
         text = [*((line, "") for line in head), *first, *middle, ("end", ""), ("end", "")]
         text = [one for one in text if one[0] not in unread]
@@ -252,7 +257,7 @@ class _Chart:
         elif start.size != 1:
             raise NotTranslated(f"the data {name} has {start.size} initial values for the size {sizes}")
         whole_array = np.full(whole, start.item()) if start.size == 1 else start.reshape(whole, order="F")
-        return FUNCTIONS[{"real": "double", "bool": "logical", "float32": "single"}.get(kind, kind)](whole_array)
+        return FUNCTIONS[{"real": "double", "bool": "logical"}.get(kind, kind)](whole_array)
 
     def _block(self, write: Callable[[], None]) -> list[tuple[str, str]]:
         self.lines, self.owners = [], []

@@ -178,7 +178,7 @@ def _declared(name: str, array: Array) -> Port:
 def _state(name: str, array: Array, initial: Array | None) -> State:
     kind = class_of(array)
     start = np.zeros(array.shape) if initial is None else initial
-    values = start.astype(bool) if kind == "bool" else start.astype(float if kind in ("real", "float32") else int)
+    values = start.astype(bool) if kind == "bool" else start.astype(float if kind == "real" else int)
     plain = values.tolist() if array.size > 1 and 1 not in array.shape else values.flatten(order="F").tolist()
     return State(name, plain[0] if array.size == 1 else plain, kind, **_size(array))
 

@@ -433,6 +433,8 @@ class Program(Parser):
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Call a function of the program, or one of MATLAB's."""
+        if name == "single" or "single" in [one for one in arguments if isinstance(one, str)]:
+            self.code.notes.append("single: computed in the precision of the build")
         code, function = self.code, self.code.functions.get(name)
         if function is None and (found_file := self.code.file(name)) is not None:
             code, function = found_file, found_file.main

@@ -1,7 +1,7 @@
 """MATLAB's operators and functions on arrays that hold recorded signals, in MATLAB's classes.
 
-Logical values compute as doubles, single wins over double. An integer wins over both: it is computed in double, rounded
-half away from 0, and saturated.
+Logical values compute as doubles. An integer wins over a double: it is computed in double, rounded half away from 0,
+and saturated. Single is computed in the precision of the build, as in the rest of a model.
 """
 
 import math
@@ -48,9 +48,9 @@ def _common(*elements: Any) -> str:
     """Return the class in which MATLAB computes with elements of these classes."""
     kinds = {kind_of(one) for one in elements}
     whole = kinds & INTEGER_TYPES.keys()
-    if len(whole) > 1 or (whole and "float32" in kinds):
+    if len(whole) > 1:
         raise NotComputed(f"{' and '.join(sorted(kinds))} in one operation")
-    return whole.pop() if whole else "float32" if "float32" in kinds else "real"
+    return whole.pop() if whole else "real"
 
 
 def _arithmetic(compute: Elementwise) -> Elementwise:
@@ -72,12 +72,7 @@ def _arithmetic(compute: Elementwise) -> Elementwise:
 def _comparison(compute: Elementwise) -> Elementwise:
     def compare(a: Any, b: Any) -> Any:
         kinds = {kind_of(a), kind_of(b)}
-        if kinds == {"float32", "real"}:
-            literals = [one for one in (a, b) if is_literal(one)]
-            if not literals or float(np.float32(literals[0])) != literals[0]:
-                raise NotComputed("a comparison of single with double is not translated: convert one of them")
-            a, b = cast(a, "float32"), cast(b, "float32")
-        elif "bool" in kinds and kinds <= {"bool", "real"}:
+        if "bool" in kinds and kinds <= {"bool", "real"}:
             a, b = cast(a, "real"), cast(b, "real")
         elif len(kinds) > 1:
             a, b = _double(a), _double(b)
@@ -439,7 +434,7 @@ def _conversion(kind: str) -> Callable[[Value], Array]:
     return lambda value: converted(as_array(value), kind)
 
 
-_CLASSES = {"double": "real", "single": "float32", "logical": "bool", "boolean": "bool"}
+_CLASSES = {"double": "real", "single": "real", "logical": "bool", "boolean": "bool"}
 SIGNAL_FUNCTIONS |= {name: _conversion(_CLASSES.get(name, name)) for name in KINDS if not name.endswith("int64")}
 
 

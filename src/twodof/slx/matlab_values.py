@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twodof.blocks.elementary.functions import round_half_away
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.expressions.conversions import to_float32, to_float64, to_stored
+from twodof.blocks.expressions.conversions import to_float64, to_stored
 from twodof.blocks.expressions.expr import Expr, convert, to_int32, where
 from twodof.blocks.expressions.numbers import FLOATS, INTEGER_TYPES, WORDS
 
@@ -59,6 +59,8 @@ def numeric(array: Array) -> Array:
 def scalar(value: Value) -> float:
     """Return the one number of a value. Raises NotComputed for any other."""
     array = as_array(number(value))
+    if is_signal(array):
+        raise NotComputed("a number that depends on signals stands where a constant is expected")
     if array.size != 1:
         raise NotComputed("one number is expected")
     return float(array.flat[0])
@@ -249,7 +251,7 @@ def class_of(array: Array) -> str:
     """Return the kind of all elements; where several meet, of the array that MATLAB makes of them."""
     kinds = [kind_of(element) for element in lifted(array).flatten(order="F")]
     whole = [kind for kind in kinds if kind in INTEGER_TYPES]
-    return next((one for one in (*whole[:1], "float32", "real", "bool") if one in kinds), "real")
+    return next((one for one in (*whole[:1], "real", "bool") if one in kinds), "real")
 
 
 def lifted(array: Array) -> Array:
@@ -261,7 +263,6 @@ def lifted(array: Array) -> Array:
         elements = [INTEGER_TYPES[kind](int(one)) for one in array.flatten(order="F")]
     elif kind in ("float64", "float32", "bool"):
         elements = array.flatten(order="F").tolist()
-        elements = [to_float32(one) for one in elements] if kind == "float32" else elements
     else:
         raise NotComputed(f"{kind} beside a signal is not translated")
     return filled(array.shape, elements)
@@ -276,7 +277,7 @@ def cast(element: Any, kind: str) -> Any:
         value = np.array([[element]])
         if kind in INTEGER_TYPES:
             return INTEGER_TYPES[kind](int(_cast(KINDS[kind])(value)[0, 0]))
-        return bool(element) if kind == "bool" else to_float32(float(element)) if kind == "float32" else float(element)
+        return bool(element) if kind == "bool" else float(element)
     if kind == "bool":
         return element != 0
     if kind in FLOATS:
