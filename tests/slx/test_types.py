@@ -189,6 +189,15 @@ def test_an_enumeration_is_found_in_the_file_of_its_class(tmp_path: Path) -> Non
     (tmp_path / "Mode.m").write_text(code, encoding="utf-8")
     blocks = [("Constant", "c", {"Value": "Mode.armed"}), ("Outport", "y", {})]
     assert set(flown(imported(tmp_path, blocks, [("c", "y")]), {})["y"]) == {3}
+    source = {"SourceBlock": "simulink/Logic and Bit Operations/Compare To Constant"}
+    files = model([("Inport", "u", {"OutDataTypeStr": "int32"}), ("Reference", "is", source), ("Outport", "y", {})],
+                  [("u", "is"), ("is", "y")])  # fmt: skip
+    name, given = "simulink/blockdiagram.xml", '<P Name="relop">==</P><P Name="const">Mode.armed</P>'
+    files[name] = files[name].replace('Name="is" SID="2">', f'Name="is" SID="2"><InstanceData>{given}</InstanceData>')
+    read = read_model(slx(files, tmp_path / "linked.slx"))
+    assert inspect(read, [tmp_path]).names == {}
+    found = flown(import_system(read, folders=[tmp_path], dt=DT), {"u": np.arange(200) % 5})
+    assert np.array_equal(found["y"], np.arange(200) % 5 == 3)
 
 
 def test_a_damaged_dictionary_is_a_note_not_a_fault(tmp_path: Path) -> None:

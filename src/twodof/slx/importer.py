@@ -94,7 +94,7 @@ class _Import(Wiring):
             names.update(dictionary(model.dictionary, self.folders))
         except DiagramError as reason:
             self.notes.append(str(reason))
-        texts = (text for _, block in model.blocks() for text in block.values.values())
+        texts = (text for _, block in model.blocks() for text in (*block.values.values(), *block.instance.values()))
         names.update(enumerations(texts, self.folders))
         for callback in ("PreLoadFcn", "PostLoadFcn", "InitFcn"):
             for skipped in run(model.callbacks.get(callback, ""), names):

@@ -109,7 +109,9 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
     named.update(name for _, one in blocks if (name := one.values.get("ReferencedSubsystem", "")))
     libraries = tuple(_library(name, count, folders) for name, count in named.most_common())
     lines = [line for _, system in systems for line in system.lines]
-    outside = set(enumerations((text for _, one in blocks for text in one.values.values()), folders))
+    outside = set(
+        enumerations((text for _, one in blocks for text in (*one.values.values(), *one.instance.values())), folders)
+    )
     with suppress(DiagramError):  # a dictionary that is not found: its names have no value
         outside |= set(dictionary(model.dictionary, folders))
     return Inspection(
