@@ -236,6 +236,11 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
         (way(1, None, 2) + state(2, "f(x)", kind="FUNC_STATE"), "", "the graphical function f(x)"),
         (way(1, None, 2) + state(2, "A"), '<P Name="name">chart</P><P Name="actionLanguage">0</P>', "language is C"),
         (
+            way(1, None, 2) + state(2, "A\nentry: log = double(int8(u) + 1);"),
+            '<P Name="saturateOnIntegerOverflow">0</P>',
+            "its integers wrap around",
+        ),
+        (
             way(1, None, 2, "{log = u;}") + state(2, "A"),
             '<P Name="executeAtInitialization">1</P>',
             "executes at initialization",

@@ -294,6 +294,8 @@ def test_what_is_left_out_or_approximated_is_noted() -> None:
     block = MatlabFunction("function y = f(u)\ny = single(u) + zeros(1, 1, 'single');", [REAL])
     assert block.notes == ["single: computed in the precision of the build"]
     assert [port.kind for port in block.outputs] == ["real"]
+    block = MatlabFunction("function [y, z] = f(u)\ny = [u u]; z = [u; u];", [REAL])
+    assert block.notes == ["the row y is a vector, which other MATLAB Functions see as a column"]
 
 
 def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:

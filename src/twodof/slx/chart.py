@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
 from twodof.slx.matlab import evaluate, names_in
@@ -477,6 +478,14 @@ def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
     raise NotTranslated(f"{text[:60]!r} has no {closing}")
 
 
+def _check_overflow(chart: SimulinkChart, item: MatlabFunction) -> None:
+    """Raise NotTranslated for integers that wrap around: here they saturate, as they do by default."""
+    kinds = {one.kind for one in (*item.inputs, *item.outputs)} | {one.kind for one in item.states}
+    whole = not kinds.isdisjoint(INTEGER_TYPES) or re.search(r"\bu?int(8|16|32)\b", chart.text)
+    if whole and chart.form is not None and chart.form["values"].get("saturateOnIntegerOverflow", "1") == "0":
+        raise NotTranslated("its integers wrap around: let it saturate on integer overflow")
+
+
 def function_rule(chart: SimulinkChart | None) -> Rule:
     """Return the rule of a MATLAB Function or a chart, which may call the functions of .m files.
 
@@ -504,6 +513,7 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
                 line = re.match(r"line (\d+): (.*)", reason.what, re.DOTALL)
                 owner = code.owners[int(line[1]) - 1] if line is not None else ""
                 raise NotTranslated(f"{owner}: {line[2]}" if line is not None and owner else reason.what) from None
+        _check_overflow(chart, item)
         c.notes += item.notes
         return Made(item, [Signal(port.kind, port.width, port.shape) for port in item.outputs], expand=False)
 

@@ -101,7 +101,12 @@ class MatlabFunction(Block):
         for name, value in self._called(u, self._remembered(x))[1].items():
             if value.shape != kept[name].shape or class_of(value) != class_of(kept[name]):
                 raise NotComputed(f"the persistent {name.split('.')[1]} changes its size or class")
-        self.outputs = [_declared(name, value) for name, value in self._computed(u, x)[0].items()]
+        results = self._computed(u, x)[0]
+        self.outputs = [_declared(name, value) for name, value in results.items()]
+        rows = [name for name, value in results.items() if value.shape[0] == 1 < value.size]
+        self.code.notes += [
+            f"the row {name} is a vector, which other MATLAB Functions see as a column" for name in rows
+        ]
 
     def _called(self, u: Any, kept: Names) -> tuple[Names, Names]:
         """Return the results of a call, and the persistent variables after it."""
