@@ -54,6 +54,15 @@ def test_large_residuals_that_bend_take_few_steps(bend: float, most: int) -> Non
     assert abs(found.x[0]) < 1e-4
 
 
+def test_a_search_that_ends_without_a_jacobian_has_not_converged() -> None:
+    def jacobian(x: Array, _: Array) -> Array:
+        return rosenbrock_jacobian(x, _) if x[0] == -1.2 else np.full((2, 2), np.nan)
+
+    found = minimise(rosenbrock, jacobian, np.array([-1.2, 1.0]), -FREE, FREE, iterations=1)
+    assert not found.converged
+    assert np.isfinite(found.x).all()
+
+
 def test_a_step_cut_by_a_bound_still_descends() -> None:
     # The full step crosses the bound of x0 and, cut there, would go uphill: the others must be solved for again.
     rng = np.random.default_rng(0)

@@ -134,6 +134,8 @@ def _bounded_step(
 
 def _converged(r: Array, cost: float, gradient: Array, normal: Array, free: NDArray[np.int64]) -> bool:
     """Return True if the next Gauss-Newton step is shorter than a twentieth of the estimate's standard deviation."""
+    if not np.isfinite(normal).all():
+        return False
     g = gradient[free]
     length = np.sqrt(np.diag(normal)[free])
     length = np.where(length > 0.0, length, 1.0)
