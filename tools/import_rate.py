@@ -25,8 +25,8 @@ from twodof.compile import build
 from twodof.errors import DiagramError, TwodofError
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab import assigned_names, read_workspace
-from twodof.slx.matlab_values import Value
+from twodof.slx.matlab.evaluation import assigned_names, read_workspace
+from twodof.slx.matlab.values import Value
 from twodof.slx.model import Model, read_model
 
 MISSING = re.compile(r"is not found|cannot be found")

@@ -23,7 +23,7 @@ from twodof.compile import build
 from twodof.errors import DiagramError
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab import read_workspace, run
+from twodof.slx.matlab.evaluation import read_workspace, run
 from twodof.slx.model import read_model
 
 pytestmark = pytest.mark.slow

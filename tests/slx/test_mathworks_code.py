@@ -14,7 +14,7 @@ import pytest
 
 from twodof.compile import build
 from twodof.slx.importer import import_system
-from twodof.slx.matlab import run
+from twodof.slx.matlab.evaluation import run
 from twodof.slx.model import read_model
 
 REPOS = os.environ.get("TWODOF_SLX_REPOS", "")

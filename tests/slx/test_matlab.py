@@ -12,8 +12,8 @@ import pytest
 from tests import toolchains
 from tests.patience import PATIENCE_S
 from twodof.errors import DiagramError
-from twodof.slx.matlab import assigned_names, evaluate, run
-from twodof.slx.matlab_values import number
+from twodof.slx.matlab.evaluation import assigned_names, evaluate, run
+from twodof.slx.matlab.values import number
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ from twodof.blocks import Bus, Diagram, Port
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.errors import DiagramError
-from twodof.slx.matlab_function import MatlabFunction
+from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.translation import Signal
 
 pytestmark = pytest.mark.slow

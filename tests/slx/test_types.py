@@ -11,7 +11,7 @@ from twodof.errors import DiagramError
 from twodof.slx.dictionary import dictionary
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab import evaluate, run
+from twodof.slx.matlab.evaluation import evaluate, run
 from twodof.slx.model import read_model
 
 pytestmark = pytest.mark.slow

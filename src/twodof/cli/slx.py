@@ -15,7 +15,7 @@ from twodof.slx.difference import ModelDifference, difference
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import Inspection, Library
 from twodof.slx.inspection import inspect as inspect_model
-from twodof.slx.matlab import read_workspace
+from twodof.slx.matlab.evaluation import read_workspace
 from twodof.slx.model import read_model
 from twodof.slx.picture import sheet_name, sheet_svg
 

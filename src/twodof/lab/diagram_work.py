@@ -34,8 +34,8 @@ from twodof.sim.linear import LOOPS, cascade_margins
 from twodof.sim.portable_loop import portable_loop
 from twodof.slx.importer import import_system
 from twodof.slx.inspection import SUFFIXES
-from twodof.slx.matlab import read_workspace
-from twodof.slx.matlab_values import Value
+from twodof.slx.matlab.evaluation import read_workspace
+from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 from twodof.slx.picture import sheet_svg
 

@@ -19,9 +19,9 @@ import numpy as np
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
-from twodof.slx.matlab import evaluate, names_in
-from twodof.slx.matlab_function import MatlabFunction
-from twodof.slx.matlab_values import FUNCTIONS, Members, Value, as_array, number
+from twodof.slx.matlab.evaluation import evaluate, names_in
+from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.values import FUNCTIONS, Members, Value, as_array, number
 from twodof.slx.model import SimulinkChart, collapsed, port_number
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
 

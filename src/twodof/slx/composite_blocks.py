@@ -28,9 +28,9 @@ from twodof.blocks.library import (
     ZeroOrderHold,
 )
 from twodof.errors import DiagramError
-from twodof.slx.matlab import evaluate, names_in
-from twodof.slx.matlab_function import MatlabFunction
-from twodof.slx.matlab_values import as_array
+from twodof.slx.matlab.evaluation import evaluate, names_in
+from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.values import as_array
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, each, expanded, passes
 
 Next = Callable[..., Any]

@@ -20,8 +20,8 @@ from twodof.blocks.declarations import Port, State
 from twodof.blocks.expressions.expr import int32, to_real, where
 from twodof.blocks.library import CaseChoice, Constant, Convert, FirstTrue, Merge, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.matlab import evaluate
-from twodof.slx.matlab_values import Value, as_array, scalar
+from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.values import Value, as_array, scalar
 from twodof.slx.model import System
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
 
@@ -36,7 +36,7 @@ _OPERATIONS: dict[type, Callable[..., Any]] = {
 
 
 @dataclass(frozen=True)
-class Condition:
+class Activation:
     """When a subsystem acts: the pin that says it, at which `edge` ("" while it is positive), and if it starts afresh.
 
     A subsystem with the pin `reset` always acts, and is initial at the edge.
@@ -47,7 +47,7 @@ class Condition:
     restart: bool
 
 
-def conditions_of(system: System) -> list[Condition]:
+def conditions_of(system: System) -> list[Activation]:
     """Return the conditions of a system. Raises NotTranslated for ones that have no equivalent."""
     found = []
     for block in system.blocks.values():
@@ -64,7 +64,7 @@ def conditions_of(system: System) -> list[Condition]:
             raise NotTranslated(f"TriggerType = {edge!r} is not translated")
         key = "InitializeStates" if block.type == "ActionPort" else "StatesWhenEnabling"
         restart = block.values.get(key, "held") == "reset" and block.type != "TriggerPort"
-        found.append(Condition(CONTROL_PORTS[block.type], "" if edge == "function-call" else edge, restart))
+        found.append(Activation(CONTROL_PORTS[block.type], "" if edge == "function-call" else edge, restart))
     if len([one for one in found if one.pin != "reset"]) > 1:
         raise NotTranslated("a subsystem that is enabled and triggered is not translated")
     return found

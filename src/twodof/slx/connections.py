@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from twodof.blocks.diagram import BASE, Rate
 from twodof.errors import DiagramError
 from twodof.slx.blocks import INPUTS, RULES
-from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Condition
-from twodof.slx.matlab_values import NotComputed
+from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Activation
+from twodof.slx.matlab.values import NotComputed
 from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, collapsed, escaped, port_number
 from twodof.slx.sheet import Sheet
 from twodof.slx.translation import Made, NotTranslated, Signal
@@ -43,7 +43,7 @@ class Connections:
         self.report: list[ReportLine] = []
         self.defaults = {self.path: model.defaults}
         self.sheets: dict[str, Sheet] = {}
-        self.conditions: dict[str, list[Condition]] = {}
+        self.conditions: dict[str, list[Activation]] = {}
         self.beyond: dict[tuple[str, str], Output] = {}
         """Outputs that lead into a sheet from another one, by its path and the name of the input made for them."""
         self.rates: dict[tuple[str, str], Rate] = {}

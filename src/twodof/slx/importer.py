@@ -30,8 +30,8 @@ from twodof.slx.data_types import kind_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
-from twodof.slx.matlab import evaluate, run
-from twodof.slx.matlab_values import NotComputed, Value, as_array, number
+from twodof.slx.matlab.evaluation import evaluate, run
+from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
 from twodof.slx.model import CODED, Model, SimulinkBlock, System, collapsed, escaped, read_model
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited

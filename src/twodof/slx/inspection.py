@@ -12,8 +12,8 @@ from pathlib import Path
 
 from twodof.errors import DiagramError
 from twodof.slx.dictionary import dictionary, enumerations
-from twodof.slx.matlab import assigned_names, names_in
-from twodof.slx.matlab_values import FUNCTIONS
+from twodof.slx.matlab.evaluation import assigned_names, names_in
+from twodof.slx.matlab.values import FUNCTIONS
 from twodof.slx.model import Mask, Model, SimulinkBlock, System, collapsed, escaped, port_number, read_model
 
 OWN_LIBRARIES = ("simulink", "slpidlib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")

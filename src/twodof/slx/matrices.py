@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 
 from twodof.blocks.bus import Bus
 from twodof.slx.data_types import signal_of
-from twodof.slx.matlab_function import MatlabFunction
-from twodof.slx.matlab_values import Value
+from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.values import Value
 from twodof.slx.translation import Asked, Made, NotTranslated
 
 Line = Callable[[Asked], tuple[str, dict[str, Value]]]

@@ -9,9 +9,9 @@ from contextlib import suppress
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.errors import DiagramError
-from twodof.slx.matlab import evaluate
-from twodof.slx.matlab_function import last_index
-from twodof.slx.matlab_values import NotComputed, Value, as_array, number
+from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.function_block import last_index
+from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, SimulinkChart, System, collapsed, escaped, port_number
 from twodof.slx.translation import Signal
 

@@ -15,8 +15,8 @@ from twodof.blocks.elementwise import port_series
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.library import Demux, MatrixGain, Mux, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.matlab import evaluate
-from twodof.slx.matlab_values import Value, number
+from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.values import Value, number
 from twodof.slx.model import SimulinkBlock, collapsed
 
 

@@ -10,10 +10,10 @@ from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import Constant, DataStore, Logic, Merge, StoreRead, ZeroOrderHold
-from twodof.slx.conditions import Condition, ControlEdge
+from twodof.slx.conditions import Activation, ControlEdge
 from twodof.slx.connections import PASSING, Connections, Output, store_name
-from twodof.slx.matlab import evaluate
-from twodof.slx.matlab_values import as_array, number
+from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.values import as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, System, collapsed, escaped, port_number
 from twodof.slx.translation import Made, NotTranslated, Signal, expanded, plain
 
@@ -152,7 +152,7 @@ class Wiring(Connections):
                     raise NotTranslated("some of its outputs are held and some reset while it is disabled")
                 part.disabled = "reset"
 
-    def _flag(self, path: str, sid: str, condition: Condition) -> str:
+    def _flag(self, path: str, sid: str, condition: Activation) -> str:
         """Return the source of the bool that makes a subsystem act; it is made if there is none yet."""
         sheet, pin = self.sheets[path], Pin(sid, condition.pin, 1)
         source = self._name(path, self._source(path, pin), sheet.parts, sheet.diagram)

@@ -20,9 +20,9 @@ from twodof.blocks.expressions.expr import Expr, tracing
 from twodof.blocks.namespaces import BusView, Inputs, States
 from twodof.blocks.trace import leaves_of, matrices, with_matrices
 from twodof.errors import DiagramError
-from twodof.slx.matlab import Machine
-from twodof.slx.matlab_program import Code, call, chosen, is_empty
-from twodof.slx.matlab_values import (
+from twodof.slx.matlab.evaluation import Evaluation
+from twodof.slx.matlab.program import Code, call, chosen, is_empty
+from twodof.slx.matlab.values import (
     Array,
     Members,
     NotComputed,
@@ -114,13 +114,13 @@ class MatlabFunction(Block):
             self.constants[name] if name in self.constants else value_of(u[_port(name)])
             for name in self.code.main.arguments
         ]
-        machine = Machine(dict(kept))
-        names = call(self.code, self.code.main, given, machine)
+        evaluation = Evaluation(dict(kept))
+        names = call(self.code, self.code.main, given, evaluation)
         results = {name: names[name] for name in self.code.main.results}
         for name, value in results.items():
             if not isinstance(value, np.ndarray) or not value.size:
                 raise NotComputed(f"the output {name} is not an array")
-        return results, dict(machine.names)
+        return results, dict(evaluation.names)
 
     def _remembered(self, x: Any) -> Names:
         return {name: value_of(x[one]).reshape(self.sizes[name], order="F") for name, one in self.kept.items()}

@@ -22,9 +22,9 @@ from scipy.io import loadmat
 
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
-from twodof.slx.matlab_signals import OPERATORS as SIGNAL_OPERATORS
-from twodof.slx.matlab_signals import SIGNAL_FUNCTIONS, of_signals
-from twodof.slx.matlab_values import (
+from twodof.slx.matlab.signals import OPERATORS as SIGNAL_OPERATORS
+from twodof.slx.matlab.signals import SIGNAL_FUNCTIONS, of_signals
+from twodof.slx.matlab.values import (
     FUNCTIONS,
     MOST_ELEMENTS,
     OPERATORS,
@@ -86,7 +86,7 @@ class Token:
 def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression") -> Value:
     """Return the value of an expression. Raises DiagramError, with the name that is missing or what is not computed."""
     try:
-        parser = Parser(tokens_of(text), Machine(dict(workspace)))
+        parser = EvaluatingParser(tokens_of(text), Evaluation(dict(workspace)))
         value = parser.expression()
         parser.skip(";", "line")
         if parser.here.kind != "end":
@@ -108,12 +108,12 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
         workspace.update({name: own[given] for name, given in _ASSIGNED_IN.findall(body) if given in own})
         return [one for one in lines if one.why != "assignin is not computed"]
     skipped: list[Skipped] = []
-    machine = Machine(workspace)
+    evaluation = Evaluation(workspace)
     try:
         tokens = tokens_of(BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), code))
     except NotComputed as reason:
         return [Skipped(1, str(reason))]
-    parser = Parser(tokens, machine)
+    parser = EvaluatingParser(tokens, evaluation)
     while parser.here.kind != "end":
         if parser.skip(";", ",", "line"):
             continue
@@ -123,7 +123,7 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
             if parser.here.kind != "end" and not parser.skip(";", ",", "line"):
                 raise NotComputed(f"'{parser.here.text}' is not expected")
         except NotComputed as reason:
-            parser.at, parser.depth, parser.matrix, machine.ends = next_statement(tokens, start), 0, False, []
+            parser.at, parser.depth, parser.matrix, evaluation.ends = next_statement(tokens, start), 0, False, []
             for name in _assigned(tokens[start : parser.at]):
                 workspace.pop(name, None)
             if tokens[start].text not in SILENT:
@@ -274,7 +274,7 @@ def assigned_names(code: str) -> set[str]:
 
 
 @dataclass
-class Machine:
+class Evaluation:
     """The names that a run changes, and the operations that it has taken."""
 
     names: MutableMapping[str, Value]
@@ -289,11 +289,11 @@ class Machine:
             raise NotComputed(f"takes more than {MOST_STEPS} operations")
 
 
-class Parser:
+class EvaluatingParser:
     """A parser that computes as it reads: precedence as MATLAB has it."""
 
-    def __init__(self, tokens: list[Token], machine: Machine) -> None:
-        self.tokens, self.machine = tokens, machine
+    def __init__(self, tokens: list[Token], evaluation: Evaluation) -> None:
+        self.tokens, self.evaluation = tokens, evaluation
         self.at = self.depth = 0
         self.matrix = False
 
@@ -317,12 +317,12 @@ class Parser:
 
     def statement(self) -> None:
         """Carry out an assignment, or an expression without effect."""
-        self.machine.count()
+        self.evaluation.count()
         token = self.here
         if token.kind == "name" and token.text in SILENT:
             start, self.at = self.at, next_statement(self.tokens, self.at) - 1
             for named in self.tokens[start + 1 : self.at + 1] if token.text.startswith("clear") else ():
-                self.machine.names.pop(named.text, None)
+                self.evaluation.names.pop(named.text, None)
             return
         if token.kind == "name" and token.text in ("if", "for", "while", "switch", "function", "try", "global"):
             raise NotComputed(f"'{token.text}' is not computed")
@@ -331,12 +331,12 @@ class Parser:
         if path is None or self.here.text != "=" or self.here.kind != "operator":
             self.at = start
             value = self.expression()
-            self.machine.names["ans"] = value
+            self.evaluation.names["ans"] = value
             return
         self.at += 1
         value = self.expression()
         name, steps = path
-        self.machine.names[name] = stored(self.machine.names.get(name), steps, value)
+        self.evaluation.names[name] = stored(self.evaluation.names.get(name), steps, value)
 
     def target(self) -> tuple[str, list[Any]] | None:
         """Return name and steps of what is assigned, `s.a(2)`; None for anything else."""
@@ -344,7 +344,7 @@ class Parser:
             return None
         name, steps = self.here.text, list[Any]()
         self.at += 1
-        value: Value = self.machine.names.get(name)
+        value: Value = self.evaluation.names.get(name)
         while True:
             if self.here.text == "." and self.tokens[self.at + 1].kind == "name":
                 steps.append(self.tokens[self.at + 1].text)
@@ -457,11 +457,11 @@ class Parser:
     def postfix(self) -> Value:
         """Compute a value with its indices and fields."""
         token = self.here
-        self.machine.count()
+        self.evaluation.count()
         if (
             token.kind == "name"
-            and token.text not in self.machine.names
-            and not (token.text == "end" and self.machine.ends)
+            and token.text not in self.evaluation.names
+            and not (token.text == "end" and self.evaluation.ends)
         ):
             return self.function()
         value = self.primary()
@@ -499,11 +499,11 @@ class Parser:
         if token.kind == "text":
             return token.text
         if token.kind == "name":
-            if token.text == "end" and self.machine.ends:
-                array, index, count = self.machine.ends[-1]
+            if token.text == "end" and self.evaluation.ends:
+                array, index, count = self.evaluation.ends[-1]
                 size = array.size if count == 1 else array.shape[index] if index < 2 else 1
                 return np.array([[float(size)]])
-            return self.machine.names[token.text]
+            return self.evaluation.names[token.text]
         if token.text == "(":
             matrix, self.matrix = self.matrix, False
             value = self.expression()
@@ -539,14 +539,14 @@ class Parser:
         found: list[Value] = []
         while not self.skip(")"):
             if isinstance(indexed, np.ndarray | str):
-                self.machine.ends.append((as_array(indexed), len(found), count))
+                self.evaluation.ends.append((as_array(indexed), len(found), count))
             if self.here.text == ":" and self.tokens[self.at + 1].text in (",", ")"):
                 self.at += 1
                 found.append(":")
             else:
                 found.append(self.expression())
             if isinstance(indexed, np.ndarray | str):
-                self.machine.ends.pop()
+                self.evaluation.ends.pop()
             if self.here.text != ")":
                 self.need(",")
         self.matrix = matrix
@@ -585,7 +585,7 @@ class Parser:
 
     def apply(self, operator: str, left: Value, right: Value) -> Value:
         """Compute an operation of two values."""
-        self.machine.count()
+        self.evaluation.count()
         left, right = number(left), number(right)
         if isinstance(left, dict | list) or isinstance(right, dict | list):
             raise NotComputed(f"'{operator}' of a structure or a cell")

@@ -17,9 +17,17 @@ import numpy as np
 from twodof.blocks.expressions.expr import where
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
-from twodof.slx.matlab import BLOCK_COMMENT, SILENT, Machine, Parser, next_statement, script_text, tokens_of
-from twodof.slx.matlab_signals import truth
-from twodof.slx.matlab_values import (
+from twodof.slx.matlab.evaluation import (
+    BLOCK_COMMENT,
+    SILENT,
+    EvaluatingParser,
+    Evaluation,
+    next_statement,
+    script_text,
+    tokens_of,
+)
+from twodof.slx.matlab.signals import truth
+from twodof.slx.matlab.values import (
     Array,
     NotComputed,
     Value,
@@ -47,7 +55,7 @@ class NotTranslatedLine(NotComputed):
 
 
 @dataclass(frozen=True)
-class Function:
+class FunctionDefinition:
     """A function of a program: arguments and results by name, and the tokens of its body."""
 
     name: str
@@ -131,7 +139,7 @@ class Code:
                 found.append((at, token.text))
         return found
 
-    def _function(self, at: int, stop: int) -> Function:
+    def _function(self, at: int, stop: int) -> FunctionDefinition:
         """Read `function [a, b] = name(c, d)`, of which only the name must be there."""
         names: list[list[str]] = [[]]
         at += 1
@@ -150,17 +158,17 @@ class Code:
         assigned = any(t.text == "=" and t.kind == "operator" for t in self.tokens[:at] if t.line == line)
         results = names.pop(0) if assigned else []
         (name, *_), *arguments = names if names and names[0] else [["?"]]
-        return Function(name, arguments[0] if arguments else [], results, at, stop)
+        return FunctionDefinition(name, arguments[0] if arguments else [], results, at, stop)
 
 
-class Program(Parser):
+class Program(EvaluatingParser):
     """The run of one function of a program, in `names`, which it changes.
 
     The value of the persistent variable x of the function f is kept in the name `f.x`.
     """
 
-    def __init__(self, code: Code, function: Function, machine: Machine, depth: int = 0) -> None:
-        super().__init__(code.tokens, machine)
+    def __init__(self, code: Code, function: FunctionDefinition, evaluation: Evaluation, depth: int = 0) -> None:
+        super().__init__(code.tokens, evaluation)
         self.code, self.function_run, self.calls = code, function, depth
         self.persistent: list[str] = []
         if depth > DEEPEST_CALLS:
@@ -171,7 +179,7 @@ class Program(Parser):
         self.at = self.function_run.start
         self.block(self.function_run.stop)
         for name in self.persistent:
-            self.machine.names[self._kept(name)] = self.machine.names[name]
+            self.evaluation.names[self._kept(name)] = self.evaluation.names[name]
 
     def _kept(self, name: str) -> str:
         """Return the name under which a persistent variable is kept between calls."""
@@ -201,25 +209,25 @@ class Program(Parser):
             if self.function_run is self.code.main:
                 self._convert()
             for name in empty - self._empty():
-                self.code.initial[self._kept(name)] = self.machine.names[name]
+                self.code.initial[self._kept(name)] = self.evaluation.names[name]
         self.at = stop
 
     def _convert(self) -> None:
         """Convert names that have a declared kind."""
         for name, kind in self.code.declared.items():
-            value = self.machine.names.get(name, EMPTY)
+            value = self.evaluation.names.get(name, EMPTY)
             if not is_empty(value) and class_of(as_array(value)) != kind:
-                self.machine.names[name] = converted(as_array(value), kind)
+                self.evaluation.names[name] = converted(as_array(value), kind)
 
     def _empty(self) -> set[str]:
         """Return the persistent variables that have no value yet."""
-        return {name for name in self.persistent if is_empty(self.machine.names[name])}
+        return {name for name in self.persistent if is_empty(self.evaluation.names[name])}
 
     def _left(self) -> Any:
         """Return whether the next statements are left out: a bool, or a signal."""
         found: Any = False
         for name in _LEAVING.values():
-            one = truth(self.machine.names.get(name, EMPTY))
+            one = truth(self.evaluation.names.get(name, EMPTY))
             if one is True:
                 return True
             found = one if found is False else found if one is False else found | one
@@ -227,18 +235,18 @@ class Program(Parser):
 
     def _afresh(self, start: int, stop: int) -> None:
         for name in _LEAVING.values():
-            self.machine.names.pop(name, None)
+            self.evaluation.names.pop(name, None)
         self.at = start
         self.block(stop)
 
     def either(self, condition: Any, one: Callable[[], None], other: Callable[[], None]) -> None:
         """Carry out both, each on names of its own, and let each name have the value that the condition chooses."""
-        before, made = self.machine.names, []
+        before, made = self.evaluation.names, []
         for branch in (one, other):
-            self.machine.names = dict(before)
+            self.evaluation.names = dict(before)
             branch()
-            made.append(self.machine.names)
-        self.machine.names = before
+            made.append(self.evaluation.names)
+        self.evaluation.names = before
         first, second = made
         for name in dict.fromkeys((*first, *second)):
             missing = np.array([[False]]) if name.startswith("#") else None
@@ -249,7 +257,7 @@ class Program(Parser):
         """Carry out a statement, or a block with all that belongs to it."""
         token = self.here
         word = token.text if token.kind == "name" else ""
-        self.machine.count()
+        self.evaluation.count()
         if word in ("if", "switch", "for", "parfor", "while"):
             start = self.at
             *clauses, end = self.code.blocks[start]
@@ -264,13 +272,13 @@ class Program(Parser):
             self.at = end + 1
         elif word in _LEAVING:
             self.at += 1
-            self.machine.names[_LEAVING[word]] = np.array([[True]])
+            self.evaluation.names[_LEAVING[word]] = np.array([[True]])
         elif word == "persistent":
             self.at += 1
             while self.here.kind == "name":
                 self.persistent.append(self.here.text)
                 kept = self._kept(self.here.text)
-                self.machine.names[self.here.text] = self.machine.names.setdefault(kept, EMPTY)
+                self.evaluation.names[self.here.text] = self.evaluation.names.setdefault(kept, EMPTY)
                 self.at += 1
                 self.skip(",")
         elif word in ("global", "try", "function"):
@@ -339,10 +347,10 @@ class Program(Parser):
             start = self.at
             for column in columns:
                 self._turn(name, column.reshape(-1, 1), start, end)
-                self.machine.names.pop("#continue", None)
+                self.evaluation.names.pop("#continue", None)
                 if self._left() is True:
                     break
-        self.machine.names.pop("#break", None)
+        self.evaluation.names.pop("#break", None)
 
     def _while(self, start: int, end: int, nested: int) -> None:
         """Carry out the turns of a `while`; those after one that may leave it only where it does not."""
@@ -357,12 +365,12 @@ class Program(Parser):
             if not held:
                 return
             self.block(end)
-            self.machine.names.pop("#continue", None)
+            self.evaluation.names.pop("#continue", None)
             left = self._left()
 
         def go_on() -> None:
             for name in _LEAVING.values():
-                self.machine.names.pop(name, None)
+                self.evaluation.names.pop(name, None)
             self._while(start, end, nested + 1)
 
         if left is not True:
@@ -372,7 +380,7 @@ class Program(Parser):
         """Carry out one turn of a `for`, where it was not left before."""
 
         def act() -> None:
-            self.machine.names[name] = value
+            self.evaluation.names[name] = value
             self._afresh(start, end)
 
         left = self._left()
@@ -413,7 +421,7 @@ class Program(Parser):
         for target, value in zip(targets, found, strict=False):
             if target is not None:
                 key, steps = target
-                self.machine.names[key] = stored(self.machine.names.get(key), steps, value)
+                self.evaluation.names[key] = stored(self.evaluation.names.get(key), steps, value)
 
     def primary(self) -> Value:
         """Return a value; a persistent variable has one after its first assignment."""
@@ -444,23 +452,23 @@ class Program(Parser):
             return super().called(name, arguments, bracket, count)
         if len(arguments) > len(function.arguments):
             raise NotComputed(f"{name} takes {len(function.arguments)} arguments")
-        found = call(code, function, arguments, self.machine, self.calls + 1)
+        found = call(code, function, arguments, self.evaluation, self.calls + 1)
         if count > 1:
             return [found.get(one) for one in function.results]
         return found.get(function.results[0]) if function.results else None
 
 
 def call(
-    code: Code, function: Function, arguments: Sequence[Value], machine: Machine, depth: int = 0
+    code: Code, function: FunctionDefinition, arguments: Sequence[Value], evaluation: Evaluation, depth: int = 0
 ) -> Mapping[str, Value]:
-    """Carry out a function on arguments and return its names. Persistent variables are kept in the machine's names."""
-    kept = {name: value for name, value in machine.names.items() if "." in name}
+    """Carry out a function on arguments and return its names. The evaluation keeps persistent variables."""
+    kept = {name: value for name, value in evaluation.names.items() if "." in name}
     names: MutableMapping[str, Value] = {**code.known, **kept, **dict(zip(function.arguments, arguments, strict=False))}
     names["nargin"] = np.array([[float(len(arguments))]])
-    inner = Machine(names, machine.steps)
+    inner = Evaluation(names, evaluation.steps)
     Program(code, function, inner, depth).run()
-    machine.steps = inner.steps
-    machine.names.update({name: value for name, value in inner.names.items() if "." in name})
+    evaluation.steps = inner.steps
+    evaluation.names.update({name: value for name, value in inner.names.items() if "." in name})
     for name in function.results:
         if name not in inner.names and depth == 0:
             raise NotComputed(f"the output {name} gets no value")

@@ -17,7 +17,7 @@ from twodof.blocks.elementary import functions
 from twodof.blocks.expressions.conversions import to_float64, to_stored
 from twodof.blocks.expressions.expr import Expr, convert, sqrt, where
 from twodof.blocks.expressions.numbers import INTEGER_TYPES, STORED
-from twodof.slx.matlab_values import (
+from twodof.slx.matlab.values import (
     FUNCTIONS,
     KINDS,
     Array,
