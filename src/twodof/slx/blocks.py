@@ -49,7 +49,7 @@ from twodof.slx.conditions import CONDITION_RULES
 from twodof.slx.data_types import BUS_RULES, kind_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
 from twodof.slx.matrices import MATRIX_LINES, matrix
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, holds, passes, plain, same
 
 
 def _constant(c: Asked) -> Made:
@@ -321,7 +321,7 @@ RULES: dict[str, Rule] = {
     "Math": _math,
     "Mux": _mux,
     "Product": _product,
-    "RateTransition": passes,
+    "RateTransition": holds,
     "Rounding": _function(Rounding, {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}),
     "Selector": _selector,
     "SignalSpecification": passes,
@@ -331,7 +331,7 @@ RULES: dict[str, Rule] = {
     "Switch": _switch,
     "Trigonometry": _trigonometry,
     "UnaryMinus": lambda c: whole(c, operator.neg) or same(c, Sum("-", "real", c.width)),
-    "ZeroOrderHold": passes,
+    "ZeroOrderHold": holds,
     **dict.fromkeys(DROPPED, _dropped),
 }
 """Rule of each block type, or of a library block by its name."""

@@ -25,13 +25,12 @@ from twodof.blocks.library import (
     Polynomial,
     Ramp,
     UniformNoise,
-    ZeroOrderHold,
 )
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import evaluate, names_in
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.values import as_array
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, each, expanded, passes
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, each, expanded, passes, straight
 
 Next = Callable[..., Any]
 """Next value of a state, of the time, the inputs and the states."""
@@ -363,7 +362,7 @@ def _manual_switch(c: Asked) -> Made:
     for k, one in enumerate(c.inputs):
         d.input(f"u{k + 1}", one.kind, one.width)
     one = c.inputs[chosen]
-    d.add("chosen", ZeroOrderHold(one.kind, one.width), u=f"u{chosen + 1}")
+    d.add("chosen", straight(one), u=f"u{chosen + 1}")
     d.output("y", "chosen")
     return Made(d, [one], expand=False)
 

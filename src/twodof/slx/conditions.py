@@ -207,6 +207,7 @@ def _merge(c: Asked) -> Made:
     if any(not one.like(c.inputs[0]) for one in c.inputs) or c.text("AllowUnequalInputPortWidths", "off") == "on":
         raise NotTranslated("its inputs have other types")
     one = c.inputs[0]
+    c.notes.append("where two inputs act in the same step the first one counts, in Simulink the last one carried out")
     start = c.value("InitialOutput", "[]")
     values = [plain(v, one.kind) for v in start.flatten()] or [plain(0, one.kind)]
     initial = values[0] if len(values) == 1 else values

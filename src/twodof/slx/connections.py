@@ -40,6 +40,7 @@ class Connections:
 
     def __init__(self, model: Model, path: str) -> None:
         self.model, self.path = model, collapsed(path).strip("/")
+        self.notes = list[str]()
         self.report: list[ReportLine] = []
         self.defaults = {self.path: model.defaults}
         self.sheets: dict[str, Sheet] = {}

@@ -80,7 +80,6 @@ class _Import(Wiring):
     ) -> None:
         super().__init__(model, path)
         self.folders, self.given_dt = folders, dt
-        self.notes = list[str]()
         self.libraries: dict[str, Model | None] = {}
         self.names = {**self._names_of(model), **workspace}
         self.referenced: dict[str, dict[str, Value]] = {}
@@ -357,6 +356,8 @@ class _Import(Wiring):
                 self.approximated.setdefault(key, []).append(f"inherits its type: taken for {shape}")
         elif said.startswith("Inherit"):
             self.approximated.setdefault(key, []).append("inherits its type: taken for double")
+        if len(elements) == 2 and elements[0] == 1 < elements[1]:
+            self.approximated.setdefault(key, []).append("a row is taken for a vector, which is a column in a product")
         self.signals[*key, 1] = sized(kind, elements)
 
     def _infer(self) -> None:

@@ -13,7 +13,7 @@ from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.enumeration import Kind
-from twodof.blocks.library import Demux, MatrixGain, Mux, ZeroOrderHold
+from twodof.blocks.library import Demux, Gain, MatrixGain, Mux, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.values import Value, number
@@ -199,7 +199,18 @@ def each(rule: Rule, *parameters: str) -> Rule:
 
 
 def passes(c: Asked) -> Made:
-    """Return a block that passes its input on."""
+    """Return a block that passes its input on: within a step of an integrator too, where it is a number."""
+    one = c.inputs[0]
+    return Made(straight(one), [one])
+
+
+def straight(one: Signal) -> LibraryBlock:
+    """Return a block whose output is its input, of this type."""
+    return Gain(1.0, one.width) if one.kind == "real" and one.shape is None else ZeroOrderHold(one.kind, one.width)
+
+
+def holds(c: Asked) -> Made:
+    """Return a block that holds its input until the next step."""
     one = c.inputs[0]
     return Made(ZeroOrderHold(one.kind, one.width), [one])
 

@@ -128,7 +128,9 @@ class Wiring(Connections):
             if block.type == "Outport" and self.conditions.get(path):
                 said = {**self.defaults[path].get("Outport", {}), **block.values}.get("InitialOutput", "[]")
                 values = as_array(number(evaluate(said, sheet.names, "InitialOutput"))).flatten()
-                if values.size:
+                if not values.size:
+                    self.notes.append(f"{path}/{escaped(block.name)}: InitialOutput [] is taken for 0")
+                else:
                     signal = self._type(path, Pin(sid, "in", 1)) or Signal()
                     given = [plain(v, signal.kind) for v in values]
                     whole = given * (signal.width or 1) if len(given) == 1 else given
