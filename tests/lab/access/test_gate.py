@@ -32,6 +32,7 @@ FOR_WATCHERS = {
     "/api/diagrams/px4",
     "/api/diagrams/read",
     "/api/diagrams/shapes",
+    "/api/diagrams/simulink",
     "/api/drones/{number}/parameters/file",
     "/api/excitations/preview",
     "/api/export/mat",
