@@ -1,9 +1,9 @@
-"""A public Simulink flight controller as a diagram of library blocks, block by block, to compare with its own C.
+"""A public Simulink flight controller, imported, beside the C that Embedded Coder made of it.
 
 The model is `controller/flightController.slx` of JakubRichardson/IGDP-DroneProj at f54bdc9 (R2023a, version 8.11): a
-Parrot minidrone that holds position, height and attitude, in single precision at 200 Hz. Embedded Coder's C for it
-stands beside it in the same repository. It is not ours: the benchmark takes it from the checkout that the variable
-TWODOF_SIMULINK_CONTROLLER names, and measures nothing without one.
+Parrot minidrone that holds position, height and attitude, in single precision at 200 Hz. Its C stands beside it in the
+same repository. It is not ours: the benchmark takes both from the checkout that the variable TWODOF_SIMULINK_CONTROLLER
+names, and measures nothing without one.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import ctypes
 import os
 import subprocess
 import tempfile
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,33 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.measure import Figure, timed
-from twodof.blocks import Diagram
-from twodof.blocks.library import (
-    Concatenate,
-    Constant,
-    Demux,
-    DiscreteIntegrator,
-    FlipFlop,
-    Gain,
-    MatrixGain,
-    MatrixMultiply,
-    Mux,
-    Product,
-    Reshape,
-    Saturation,
-    Selector,
-    Sum,
-    Switch,
-    Trigonometry,
-    UnitDelay,
-)
 from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7.image import build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
 from twodof.compile.toolchain.compilers import find_compiler
 from twodof.errors import CompileError
+from twodof.slx.importer import Imported, import_system
+from twodof.slx.matlab.evaluation import run as run_script
+from twodof.slx.matlab.values import Value
+from twodof.slx.model import read_model
 
 CHECKOUT = "TWODOF_SIMULINK_CONTROLLER"
+MODEL = "controller/flightController.slx"
 GENERATED = ("work/slprj/ert/flightController", "work/slprj/ert/_sharedutils")
 WRAPPER = Path(__file__).with_name("hand") / "simulink_controller.c"
 FLAGS = ("-std=gnu11", "-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC")
@@ -57,161 +41,55 @@ OF_EMBEDDED_CODER = 1.3
 PERIOD = 0.005
 STATES = ("X", "Y", "Z", "yaw", "pitch", "roll", "dx", "dy", "dz", "p", "q", "r")
 """Estimated states, in the order of the model's bus `statesEstim_t`."""
-HOVER = -0.61803
-"""Weight of the drone, negative as z points down [N]."""
-YAW, TILT = 103.573624, 5.66592
-MIXER = (
-    (0.25, YAW, -TILT, -TILT),
-    (0.25, -YAW, -TILT, TILT),
-    (0.25, YAW, TILT, TILT),
-    (0.25, -YAW, TILT, -TILT),
-)
-"""Thrust of each motor, one row a motor, from total thrust, yaw, pitch and roll torque."""
 
 
-def scaled(d: Diagram, name: str, gains: Sequence[float], source: str) -> None:
-    """Add a gain for each element of `source`."""
-    d.add(f"{name}_gains", Constant(gains, width=len(gains)))
-    d.add(name, Product(width=len(gains)), a=f"{name}_gains", b=source)
+def bus(name: str, fields: list[tuple[str, str, int]]) -> str:
+    """Return a script that defines a bus of Simulink by its fields: name, type and size."""
+    lines = [
+        f"e({k}) = Simulink.BusElement; e({k}).Name = '{n}'; e({k}).DataType = '{kind}'; e({k}).Dimensions = {size};"
+        for k, (n, kind, size) in enumerate(fields, start=1)
+    ]
+    return "\n".join(["clear e;", *lines, f"{name} = Simulink.Bus; {name}.Elements = e;", ""])
 
 
-def position() -> Diagram:
-    """Pitch and roll set-points from the error of the position, turned into the body's axes."""
-    d = Diagram("xy_to_attitude")
-    for name in ("yaw", "dx", "dy", "X", "Y"):
-        d.input(name)
-    d.input("reference", width=2)
-    for function in ("sin", "cos"):
-        d.add(function, Trigonometry(function), u="yaw")
-    d.add("minus_sin", Gain(-1.0), u="sin")
-    d.add("column1", Mux(), a="cos", b="minus_sin")
-    d.add("column2", Mux(), a="sin", b="cos")
-    d.add("columns", Concatenate((2, 2)), a="column1", b="column2")
-    d.add("rotation", Reshape((4,), (2, 2)), u="columns")
-    d.add("here", Mux(), a="X", b="Y")
-    d.add("error", Sum("+-", width=2), a="reference", b="here")
-    d.add("turned", MatrixMultiply((2, 2), (2,)), a="rotation", b="error")
-    d.add("limited", Saturation(-3.0, 3.0, width=2), u="turned")
-    scaled(d, "P", [-0.24, 0.24], "limited")
-    d.add("speed", Mux(), a="dx", b="dy")
-    scaled(d, "D", [0.1, -0.1], "speed")
-    d.add("sum", Sum("++", width=2), a="P", b="D")
-    d.output("attitude", "sum")
-    return d
+# The numbers are those in the C, so that both have the same parameters.
+WORKSPACE = (
+    bus("CommandBus", [("controlModePosVSOrient", "boolean", 1), ("pos_ref", "single", 3),
+                       ("takeoff_flag", "boolean", 1), ("orient_ref", "single", 3), ("live_time_ticks", "uint32", 1)])
+    + bus("statesEstim_t", [(name, "single", 1) for name in STATES])
+    + """
+Ts = .005; g = 1; Vehicle.Airframe.mass = .61803; Controller.takeoffGain = .45; Controller.totalThrustMaxRelative = 1;
+Controller.motorsThrustPerMotorMax = 1.20204329 / 4; Vehicle.Motor.thrustToMotorCommand = 1530.72681;
+Vehicle.Motor.maxLimit = 500; Vehicle.Motor.minLimit = 10;
+Controller.Q2Ts = single([.25 103.573624 -5.66592 -5.66592; .25 -103.573624 -5.66592 5.66592
+                          .25 103.573624 5.66592 5.66592; .25 -103.573624 5.66592 -5.66592]);
+"""
+)  # fmt: skip
+"""A script with the names that the model takes."""
 
 
-def attitude() -> Diagram:
-    """Pitch and roll torques: a PID whose integral is bounded and leaks with its own last value."""
-    d = Diagram("attitude")
-    for name in ("pitch", "roll", "q", "p"):
-        d.input(name)
-    d.input("reference", width=2)
-    d.add("angles", Mux(), a="pitch", b="roll")
-    d.add("rates", Mux(), a="q", b="p")
-    d.add("error", Sum("+-", width=2), a="reference", b="angles")
-    scaled(d, "P", [0.013, 0.01], "error")
-    d.add("leak", Gain(0.001, width=2), u="last")
-    d.add("driven", Sum("+-", width=2), a="error", b="leak")
-    d.add("integral", DiscreteIntegrator(limits=(-2.0, 2.0), width=2, initial=[0.0, 0.0]), u="driven")
-    d.add("last", UnitDelay(width=2, initial=[0.0, 0.0]), u="integral")
-    d.add("I", Gain(0.01, width=2), u="integral")
-    scaled(d, "D", [0.002, 0.0028], "rates")
-    d.add("torque", Sum("++-", width=2), a="P", b="I", c="D")
-    d.add("split", Demux(), u="torque")
-    d.add("trim", Constant(0.0))
-    d.add("tau_pitch", Sum("++"), a="split.a", b="trim")
-    d.output("pitch", "tau_pitch")
-    d.output("roll", "split.b")
-    return d
+def flight_controller(checkout: Path) -> Imported:
+    """Return the whole controller as `twodof slx import` makes it."""
+    names: dict[str, Value] = {}
+    if skipped := run_script(WORKSPACE, names):
+        raise CompileError(skipped[0].why, "WORKSPACE", "mend the script")
+    return import_system(read_model(checkout / MODEL), "", names)
 
 
-def yaw() -> Diagram:
-    """Yaw torque: P on the heading, D on its rate."""
-    d = Diagram("yaw")
-    for name in ("reference", "yaw", "r"):
-        d.input(name)
-    d.add("error", Sum("+-"), a="reference", b="yaw")
-    d.add("P", Gain(0.004), u="error")
-    d.add("D", Gain(0.0012), u="r")
-    d.add("torque", Sum("+-"), a="P", b="D")
-    d.output("torque", "torque")
-    return d
-
-
-def height() -> Diagram:
-    """Total thrust: PD on the height about the weight, or a fixed climb while taking off."""
-    d = Diagram("height")
-    for name in ("reference", "Z", "dz"):
-        d.input(name)
-    d.input("taking_off", "bool")
-    d.add("w0", Constant(HOVER))
-    d.add("climb", Gain(0.45), u="w0")
-    d.add("error", Sum("+-"), a="reference", b="Z")
-    d.add("P", Gain(0.8), u="error")
-    d.add("D", Gain(0.3), u="dz")
-    d.add("PD", Sum("+-"), a="P", b="D")
-    d.add("chosen", Switch(), condition="taking_off", a="climb", b="PD")
-    d.add("total", Sum("++"), a="chosen", b="w0")
-    d.add("limited", Saturation(-1.20204329, 1.20204329), u="total")
-    d.output("thrust", "limited")
-    return d
-
-
-def motors() -> Diagram:
-    """Motor commands from thrusts: scaled, bounded and signed by the sense of rotation."""
-    d = Diagram("motors")
-    d.input("thrusts", width=4)
-    d.add("command", Gain(-1530.72681, width=4), u="thrusts")
-    d.add("limited", Saturation(10.0, 500.0, width=4), u="command")
-    scaled(d, "directions", [1.0, -1.0, 1.0, -1.0], "limited")
-    d.output("motors", "directions")
-    return d
-
-
-def flight_controller() -> Diagram:
-    """Return the whole controller. Inputs: the two buses, flat. Outputs: `motors` [4] and `pose` [8]."""
-    d = Diagram("flight_controller")
-    d.input("position_mode", "bool")
-    d.input("pos_ref", width=3)
-    d.input("takeoff_flag", "bool")
-    d.input("orient_ref", width=3)
-    for name in STATES:
-        d.input(name)
-    d.add("z_ref", Selector(3, (2,)), u="pos_ref")
-    d.add("xy_ref", Selector(3, (0, 1)), u="pos_ref")
-    d.add("yaw_ref", Selector(3, (0,)), u="orient_ref")
-    d.add("tilt_ref", Selector(3, (1, 2)), u="orient_ref")
-    d.add("position", position(), reference="xy_ref", yaw="yaw", dx="dx", dy="dy", X="X", Y="Y")
-    d.add("switch", Switch(width=2), condition="position_mode", a="position.attitude", b="tilt_ref")
-    d.add("attitude", attitude(), reference="switch", pitch="pitch", roll="roll", q="q", p="p")
-    d.add("yaw_loop", yaw(), reference="yaw_ref", yaw="yaw", r="r")
-    d.add("height", height(), reference="z_ref", Z="Z", dz="dz", taking_off="takeoff_flag")
-    d.add("never", Constant(False, "bool"))
-    d.add("flying", FlipFlop(), set="takeoff_flag", clear="never")
-    d.add("no_thrust", Constant(0.0))
-    d.add("thrust", Switch(), condition="flying", a="height.thrust", b="no_thrust")
-    d.add("demand", Mux(4), a="thrust", b="yaw_loop.torque", c="attitude.pitch", d="attitude.roll")
-    d.add("mixer", MatrixGain(MIXER), u="demand")
-    d.add("motor_commands", motors(), thrusts="mixer")
-    d.add("pose", Concatenate((3, 3, 2)), a="pos_ref", b="orient_ref", c="switch")
-    d.output("motors", "motor_commands.motors")
-    d.output("pose", "pose")
-    return d
-
-
+COMMAND, ESTIMATE = "ReferenceValueServerBus", "states_estim"
 BUSES = np.dtype(
     [
-        ("position_mode", "?"),
-        ("pos_ref", "f4", (3,)),
-        ("takeoff_flag", "?"),
-        ("orient_ref", "f4", (3,)),
-        ("live_time_ticks", "u4"),
-        *((name, "f4") for name in STATES),
+        (f"{COMMAND}_controlModePosVSOrient", "?"),
+        (f"{COMMAND}_pos_ref", "f4", (3,)),
+        (f"{COMMAND}_takeoff_flag", "?"),
+        (f"{COMMAND}_orient_ref", "f4", (3,)),
+        (f"{COMMAND}_live_time_ticks", "u4"),
+        *((f"{ESTIMATE}_{name}", "f4") for name in STATES),
     ],
     align=True,
 )
-"""The model's buses `CommandBus` and `statesEstim_t`, one after the other."""
-OUTPUTS = np.dtype([("motors", "f4", (4,)), ("pose", "f4", (8,))])
+"""The model's inputs, the buses `CommandBus` and `statesEstim_t`: one structure of both C programs."""
+OUTPUTS = np.dtype([("motors_refout", "f4", (4,)), ("pose_refout", "f4", (8,))])
 
 
 def flight(steps: int, mode: str) -> NDArray[Any]:
@@ -224,27 +102,25 @@ def flight(steps: int, mode: str) -> NDArray[Any]:
         return np.asarray(random.uniform(0.2, 2.0) * np.sin(random.uniform(0.5, 9.0) * t + random.uniform(0.0, 6.0)))
 
     for name in STATES:
-        rows[name] = sine()
+        rows[f"{ESTIMATE}_{name}"] = sine()
     for name in ("pos_ref", "orient_ref"):
-        rows[name] = np.stack([sine() for _ in range(3)], axis=1)
-    rows["takeoff_flag"] = t < 1.0
-    rows["position_mode"] = {"position": True, "attitude": False, "mixed": np.sin(np.pi * t) > 0.0}[mode]
+        rows[f"{COMMAND}_{name}"] = np.stack([sine() for _ in range(3)], axis=1)
+    rows[f"{COMMAND}_takeoff_flag"] = t < 1.0
+    rows[f"{COMMAND}_controlModePosVSOrient"] = {"position": True, "attitude": False, "mixed": np.sin(np.pi * t) > 0.0}[
+        mode
+    ]
     return rows
-
-
-def ours(rows: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Return the same inputs in our structure."""
-    made = np.zeros(len(rows), kind)
-    for name in kind.names or ():
-        made[name] = rows[name]
-    return made
 
 
 class Pair:
     """Our C and Embedded Coder's in one translation unit, with the inputs of each."""
 
     def __init__(self, checkout: Path) -> None:
-        program = build(flight_controller(), PERIOD, "float32")
+        imported = flight_controller(checkout)
+        if imported.diagram is None:
+            raise CompileError(imported.refused[0].why, imported.refused[0].path, "use the checkout of the revision")
+        imported.diagram.name = "imported"  # the C beside it has the model's name
+        program = build(imported.diagram, imported.dt, "float32")
         if not isinstance(program, CompiledProgram):
             raise CompileError("the diagram was not compiled", "flight_controller", "install a C compiler")
         self.program = program
@@ -254,7 +130,7 @@ class Pair:
     def sides(self, rows: NDArray[Any]) -> list[tuple[str, NDArray[Any], NDArray[Any], int, int]]:
         """Return name, inputs, outputs and bytes of P and S of each side."""
         dtypes, sizes, name = self.program.dtypes, self.program.emitted.sizes, self.program.emitted.name
-        mine = (name, ours(rows, dtypes["U"]), np.zeros(len(rows), dtypes["Y"]), sizes[1], sizes[2])
+        mine = (name, rows.astype(dtypes["U"]), np.zeros(len(rows), dtypes["Y"]), sizes[1], sizes[2])
         return [mine, ("peer", rows, np.zeros(len(rows), OUTPUTS), 1, 1)]
 
     def native(self, rows: NDArray[Any], repeats: int) -> tuple[float, float, bool]:
@@ -277,7 +153,7 @@ class Pair:
             runs.append(partial(run, p.ctypes.data, s.ctypes.data, u.ctypes.data, 1, y.ctypes.data, 1, len(rows)))
             runs[-1]()
             outputs.append(y.copy())
-        same = all(np.array_equal(outputs[0][n], outputs[1][n]) for n in ("motors", "pose"))
+        same = all(np.array_equal(outputs[0][n], outputs[1][n]) for n in OUTPUTS.names or ())
         mine, theirs = timed(runs, repeats)
         return mine.median / len(rows), theirs.median / len(rows), same
 

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.computing.simulink_controller import GENERATED, MODEL, STATES, flight_controller
 from twodof.compile import build
-from twodof.slx.importer import import_system
-from twodof.slx.matlab.evaluation import run
 from twodof.slx.model import read_model
 
 REPOS = os.environ.get("TWODOF_SLX_REPOS", "")
@@ -23,7 +22,6 @@ pytestmark = [
     pytest.mark.skipif(not REPOS, reason="let TWODOF_SLX_REPOS name the folder of the public repositories' checkouts"),
 ]
 STEPS = 2000
-STATES = ("X", "Y", "Z", "yaw", "pitch", "roll", "dx", "dy", "dz", "p", "q", "r")
 KEPT = ("Attitude.Discrete_Time_Integrator.x", "Attitude.Delay.buffer", "S_R_Flip_Flop.Q.x")
 DRIVER = """
 #include <stdio.h>
@@ -51,29 +49,6 @@ int main(void) {
 """
 
 
-def bus(name: str, fields: list[tuple[str, str, int]]) -> str:
-    lines = [
-        f"e({k}) = Simulink.BusElement; e({k}).Name = '{n}'; e({k}).DataType = '{kind}'; e({k}).Dimensions = {size};"
-        for k, (n, kind, size) in enumerate(fields, start=1)
-    ]
-    return "\n".join(["clear e;", *lines, f"{name} = Simulink.Bus; {name}.Elements = e;", ""])
-
-
-# The numbers are those in the C, so that both have the same parameters.
-WORKSPACE = (
-    bus("CommandBus", [("controlModePosVSOrient", "boolean", 1), ("pos_ref", "single", 3),
-                       ("takeoff_flag", "boolean", 1), ("orient_ref", "single", 3), ("live_time_ticks", "uint32", 1)])
-    + bus("statesEstim_t", [(name, "single", 1) for name in STATES])
-    + """
-Ts = .005; g = 1; Vehicle.Airframe.mass = .61803; Controller.takeoffGain = .45; Controller.totalThrustMaxRelative = 1;
-Controller.motorsThrustPerMotorMax = 1.20204329 / 4; Vehicle.Motor.thrustToMotorCommand = 1530.72681;
-Vehicle.Motor.maxLimit = 500; Vehicle.Motor.minLimit = 10;
-Controller.Q2Ts = single([.25 103.573624 -5.66592 -5.66592; .25 -103.573624 -5.66592 5.66592
-                          .25 103.573624 5.66592 5.66592; .25 -103.573624 5.66592 -5.66592]);
-"""
-)  # fmt: skip
-
-
 def sines(seed: int) -> np.ndarray:
     """Seeded sums of sines as the 20 inputs, the first two as flags."""
     draw = np.random.default_rng(seed)
@@ -94,10 +69,8 @@ def by_mathworks(folder: Path, inputs: np.ndarray, made: Path) -> np.ndarray:
     return np.frombuffer(done.stdout, np.float32).reshape(STEPS, 17)
 
 
-def by_import(model: Path, inputs: np.ndarray) -> np.ndarray:
-    names: dict[str, object] = {}
-    assert run(WORKSPACE, names) == []
-    found = import_system(read_model(model), "", names)
+def by_import(repository: Path, inputs: np.ndarray) -> np.ndarray:
+    found = flight_controller(repository)
     assert found.diagram is not None, found.refused
     assert found.dt == 0.005
     machine = build(found.diagram, dt=found.dt, precision="float32").machine()
@@ -115,11 +88,11 @@ def by_import(model: Path, inputs: np.ndarray) -> np.ndarray:
 def both(tmp_path: Path, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what the C and the import give. The model and the C must have one version."""
     repository = Path(REPOS) / "JakubRichardson+IGDP-DroneProj"
-    model, folder = repository / "controller" / "flightController.slx", repository / "work/slprj/ert/flightController"
+    folder = repository / GENERATED[0]
     said = re.search(r"Model version\s*: ([\d.]+)", (folder / "flightController.c").read_text(encoding="utf-8"))
     assert said is not None
-    assert read_model(model).version == said[1]
-    return by_mathworks(folder, inputs, tmp_path), by_import(model, inputs)
+    assert read_model(repository / MODEL).version == said[1]
+    return by_mathworks(folder, inputs, tmp_path), by_import(repository, inputs)
 
 
 @pytest.mark.parametrize("positions", [False, True])
