@@ -1,8 +1,9 @@
 /* The closed loop of the virtual rig and its flight code, written by hand: the peer of the compiled diagram.
 
-   The equations, sensor rates and noise amounts are those of twodof.rig and twodof.flight; a run without noise is
-   compared with the compiled diagram's. What differs is how a person writes it: branches where the language selects,
-   libm, fused multiply-add where the compiler likes, and a sequential noise generator.
+   The equations, sensor rates and noise amounts are those of twodof.rig and twodof.flight; runs without noise and with
+   the same noise are compared with the compiled diagram's. What differs is how a person writes it: branches where the
+   language selects, libm, fused multiply-add where the compiler likes, a sequential noise generator, and rotor lines
+   that turn a point on the unit circle.
 
    SINGLE makes `real` float. */
 #include "loop.h"
@@ -32,7 +33,7 @@ static inline void step(Loop *l, const Setpoints *set, Outputs *y)
         l->battery_load = now.load > 0 ? now.load : 0;
     if (l->tick % TICKS_PER_SAMPLE == 0) {
         draw(&l->noise, l->tick);
-        sense_motion(l, now.load);
+        sense_motion(l, &now);
         sense_range(l);
         estimate(l);
         control(l, set);
@@ -86,12 +87,19 @@ static void derive(Loop *l)
 
     c->per_capacity = 1 / (3600 * p->rig_capacity);
     c->per_reference = 1 / (p->rig_voltage_full - p->rig_resistance * p->rig_hover_current);
+    c->polarise_step = 1 - exp(-BATTERY / p->rig_polarised_time);
     c->gust_keep = exp(-SAMPLE / p->rig_gust_time);
     c->gust_fresh = sqrt(1 - c->gust_keep * c->gust_keep);
 
     const int noisy = p->rig_noise > 0;
     c->vibration_gain = sqrt(R(0.5) * (1 - p->rig_vibration_r2));
     c->vibration_turn = (1 + p->rig_vibration_r2) * cos(R(6.283185307179586) * p->rig_vibration_hz * SAMPLE);
+    c->half_turn = PI * SAMPLE * p->rig_rotor_hz;
+    const real seen = fabs(passed(c->half_turn, sin(c->half_turn))), per_seen = 1 / (seen > R(1e-3) ? seen : R(1e-3));
+    const real shake = rings ? p->rig_ring_shake : 1;
+    c->line_x = p->rig_acc_x_line * shake * per_seen;
+    c->line_z = p->rig_acc_z_line * shake * per_seen;
+    c->line_q = p->rig_gyro_line * per_seen;
     c->acc_grain = noisy ? p->rig_acc_step : 0;
     c->gyro_grain = noisy ? p->rig_gyro_step : 0;
     c->tof_grain = noisy ? p->rig_tof_step : 0;
@@ -151,6 +159,8 @@ void hand_init(Loop *l, const double *values, uint64_t seed)
     m->cosine = cos(m->theta);
     l->wake = l->p.rig_wake_start;
     l->charge = l->p.rig_charge_start;
+    l->polarised = l->p.rig_polarised_start;
+    l->fore_phase.cosine = l->aft_phase.cosine = 1;
     l->phase = (uint32_t)(l->p.rig_tof_phase * R(4294967296.0));
     l->y.dist = l->p.rig_x_start + RAIL_CENTRE;
     const Parameters *q = &l->p;

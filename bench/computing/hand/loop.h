@@ -25,6 +25,7 @@ typedef double real;
 #define TICKS_PER_BATTERY 40
 #define BATTERY R(0.04) /* of the battery [s] */
 #define GRAVITY R(9.81)
+#define PI R(3.141592653589793)
 #define HOVER R(0.4)
 #define RAIL_CENTRE R(0.5)
 #define COMMANDS 64 /* kept, for the delay of the rotors */
@@ -42,9 +43,11 @@ typedef double real;
     X(rig_rail_bounce) X(rig_rings) X(rig_ring_place) X(rig_ring_play) X(rig_theta_start) X(rig_q_start) \
     X(rig_x_start) X(rig_v_start) X(rig_pair_thrust) X(rig_curve) X(rig_arm) X(rig_delay) X(rig_lag) X(rig_trim) \
     X(rig_trim_start) X(rig_wake_lag) X(rig_wake_fade) X(rig_wake_start) X(rig_capacity) X(rig_voltage_full) \
-    X(rig_voltage_empty) X(rig_resistance) X(rig_hover_current) X(rig_charge_start) X(rig_gust) X(rig_gust_time) X(rig_noise) \
+    X(rig_voltage_empty) X(rig_resistance) X(rig_polarised_share) X(rig_polarised_time) \
+    X(rig_hover_current) X(rig_charge_start) X(rig_polarised_start) X(rig_gust) X(rig_gust_time) X(rig_noise) \
     X(rig_imu_below) X(rig_acc_scale) X(rig_gyro_scale) X(rig_acc_bias) X(rig_gyro_bias) X(rig_acc_x_idle) X(rig_acc_z_idle) X(rig_gyro_idle) \
-    X(rig_acc_x_hover) X(rig_acc_z_hover) X(rig_gyro_hover) X(rig_vibration_hz) X(rig_vibration_r2) X(rig_acc_step) \
+    X(rig_acc_x_hover) X(rig_acc_z_hover) X(rig_gyro_hover) X(rig_vibration_hz) X(rig_vibration_r2) X(rig_rotor_hz) \
+    X(rig_acc_x_line) X(rig_acc_z_line) X(rig_gyro_line) X(rig_ring_shake) X(rig_acc_step) \
     X(rig_gyro_step) X(rig_tof_rate) X(rig_tof_age) X(rig_tof_noise) X(rig_tof_bias) X(rig_tof_step) \
     X(rig_tof_phase) X(rig_tof_stamp) X(flight_estimator_filter_sigma_gyro) \
     X(flight_estimator_filter_sigma_walk) X(flight_estimator_filter_sigma_a) X(flight_estimator_filter_sigma_range) \
@@ -96,8 +99,9 @@ typedef struct {
 typedef struct {
     real mass, offset_mass, weight, per_inertia, per_mass, inertia_mass, low, high, bounce;
     real delay_fraction, per_lag, wake_step, per_hover;
-    real per_capacity, per_reference, gust_keep, gust_fresh;
+    real per_capacity, per_reference, polarise_step, gust_keep, gust_fresh;
     real vibration_gain, vibration_turn, acc_grain, gyro_grain, tof_fraction, tof_grain;
+    real half_turn, line_x, line_z, line_q;
     real gyro_q, walk_q, q_xx, q_xv, q_vv, gravity_r, range_r;
     real velocity_ki, rate_ki, rate_decay, rate_rise, hold_window;
     int delay, direct, tof_back, settle;
@@ -107,6 +111,11 @@ typedef struct {
 typedef struct {
     real w1, w2, y1, y2;
 } Vibration;
+
+/* Angle of a rotor, one of each pair, on the unit circle. */
+typedef struct {
+    real cosine, sine;
+} Phase;
 
 /* Covariance of the estimated pitch t, gyro bias b, position x and velocity v. */
 typedef struct {
@@ -122,9 +131,10 @@ typedef struct {
     Motion motion;
     real fore_ring[COMMANDS], aft_ring[COMMANDS];
     int ring_place;
-    real wake, gust, gust_moment, charge, battery_load, supply;
+    real wake, gust, gust_moment, charge, polarised, battery_load, supply;
     real imu_q, imu_v;
     Vibration shake_x, shake_z, shake_q;
+    Phase fore_phase, aft_phase;
     real places[PLACES];
     int place, filled, dist_new;
     uint32_t phase;

@@ -10,7 +10,7 @@ typedef struct {
 } Drive;
 
 typedef struct {
-    real thrust, moment, running, load;
+    real thrust, moment, running, load, load_fore, load_aft;
 } Thrust;
 
 static inline Thrust thrust_of(const Loop *l, const Drive *d, real fore, real aft)
@@ -27,6 +27,8 @@ static inline Thrust thrust_of(const Loop *l, const Drive *d, real fore, real af
         .moment = p->rig_arm * p->rig_pair_thrust * (up_fore - up_aft) + load * (p->rig_trim_start + d->wake_moment),
         .running = speed < 1 ? speed : 1,
         .load = load,
+        .load_fore = 2 * up_fore * l->c.per_hover,
+        .load_aft = 2 * up_aft * l->c.per_hover,
     };
 }
 
@@ -160,11 +162,33 @@ static inline void contacts(const Loop *l, const Drive *d, const Thrust *now, Mo
     m->v -= coupling * c->per_mass * (turning - (speed == 0 ? turned : q));
 }
 
+/* The band-pass is a sample behind, so that its noise is independent of the white one. */
 static inline real shaken(const Derived *c, const Parameters *p, Vibration *f, real fresh)
 {
-    const real y = c->vibration_gain * (fresh - f->w2) + c->vibration_turn * f->y1 - p->rig_vibration_r2 * f->y2;
-    *f = (Vibration){.w1 = fresh, .w2 = f->w1, .y1 = y, .y2 = f->y1};
-    return y;
+    const real behind = f->y1;
+    const real y = c->vibration_gain * (fresh - f->w2) + c->vibration_turn * behind - p->rig_vibration_r2 * f->y2;
+    *f = (Vibration){.w1 = fresh, .w2 = f->w1, .y1 = y, .y2 = behind};
+    return behind;
+}
+
+/* The mean of a cosine over a sample, over its middle value. `half` > 0 is half the angle of the sample. */
+static inline real passed(real half, real sine_half)
+{
+    return half > R(1e-3) * PI ? sine_half / half : 1;
+}
+
+/* The line of a pair whose rotor is out of balance; then the rotor turns on. The sine of half the sample's angle serves
+   both the mean over the sample and the turn. A Newton step of the root keeps the phase on the unit circle. */
+static inline Phase line_of(const Derived *c, Phase *at, real load)
+{
+    const real half = c->half_turn * sqrt(load > STILL ? load : STILL);
+    const real sine_half = sin(half), size = load * passed(half, sine_half);
+    const real sine = 2 * sine_half * cos(half), cosine = 1 - 2 * sine_half * sine_half;
+    const Phase next = {at->cosine * cosine - at->sine * sine, at->sine * cosine + at->cosine * sine};
+    const real length = R(1.5) - R(0.5) * (next.cosine * next.cosine + next.sine * next.sine);
+    const Phase line = {size * at->cosine, size * at->sine};
+    *at = (Phase){length * next.cosine, length * next.sine};
+    return line;
 }
 
 static inline real rounded(real value, real grain)
@@ -172,16 +196,20 @@ static inline real rounded(real value, real grain)
     return grain > 0 ? floor(value / grain + R(0.5)) * grain : value;
 }
 
-static inline void sense_motion(Loop *l, real load)
+static inline void sense_motion(Loop *l, const Thrust *now)
 {
     const Parameters *p = &l->p;
     const Derived *c = &l->c;
     const Motion *m = &l->motion;
     const real along_rail = (m->v - l->imu_v) / SAMPLE, turning = (m->q - l->imu_q) / SAMPLE;
-    const real n_x = normal(&l->noise), n_z = normal(&l->noise), n_q = normal(&l->noise);
-    const real e_x = p->rig_acc_x_idle * n_x + p->rig_acc_x_hover * load * shaken(c, p, &l->shake_x, n_x);
-    const real e_z = p->rig_acc_z_idle * n_z + p->rig_acc_z_hover * load * shaken(c, p, &l->shake_z, n_z);
-    const real e_q = p->rig_gyro_idle * n_q + p->rig_gyro_hover * load * shaken(c, p, &l->shake_q, n_q);
+    const Phase fore = line_of(c, &l->fore_phase, now->load_fore), aft = line_of(c, &l->aft_phase, now->load_aft);
+    const real load = now->load, n_x = normal(&l->noise), n_z = normal(&l->noise), n_q = normal(&l->noise);
+    const real e_x = p->rig_acc_x_idle * n_x + p->rig_acc_x_hover * load * shaken(c, p, &l->shake_x, n_x) +
+                     c->line_x * (fore.cosine + aft.cosine);
+    const real e_z = p->rig_acc_z_idle * n_z + p->rig_acc_z_hover * load * shaken(c, p, &l->shake_z, n_z) +
+                     c->line_z * (fore.sine + aft.sine);
+    const real e_q = p->rig_gyro_idle * n_q + p->rig_gyro_hover * load * shaken(c, p, &l->shake_q, n_q) +
+                     c->line_q * (fore.sine - aft.sine);
     const real force_x = m->cosine * along_rail + GRAVITY * m->sine + p->rig_imu_below * turning;
     const real acc_x = p->rig_acc_scale * force_x + p->rig_acc_bias;
     const real acc_z = m->sine * along_rail - GRAVITY * m->cosine - p->rig_imu_below * m->q * m->q;
@@ -223,11 +251,14 @@ static inline void sense_range(Loop *l)
 static void discharge(Loop *l)
 {
     const Parameters *p = &l->p;
-    const real current = p->rig_hover_current * l->battery_load * sqrt(l->battery_load);
+    const real power = l->battery_load * sqrt(l->battery_load), current = p->rig_hover_current * power;
+    const real felt = p->rig_hover_current * (power + p->rig_polarised_share * (l->polarised - power));
     const real open = p->rig_voltage_empty + (p->rig_voltage_full - p->rig_voltage_empty) * l->charge;
-    const real voltage = open - p->rig_resistance * current, share = (voltage > 0 ? voltage : 0) * l->c.per_reference;
+    const real voltage = open - p->rig_resistance * felt, share = (voltage > 0 ? voltage : 0) * l->c.per_reference;
     l->supply = share * share;
     l->y.voltage = voltage > 0 ? voltage : 0;
     l->y.charge = l->charge;
     l->charge = within(l->charge - current * l->c.per_capacity * BATTERY, 0, 1);
+    l->polarised += l->c.polarise_step * (power - l->polarised);
+    l->polarised = l->polarised < STILL ? 0 : l->polarised;
 }
