@@ -332,3 +332,20 @@ def test_a_bus_is_a_structure() -> None:
     given = {"p": 1.0, "q": [2.0, 3.0], "inner": {"n": 7}}
     assert list(machine.step({"s": given, "g": 0.5})["y"]) == [1.0, 2.0, 3.5, 1.0]
     assert list(machine.step({"s": {**given, "p": -1.0}, "g": 0.5})["y"]) == [-1.0, 2.0, 3.5, 7.0]
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ("y = u; for i = 1:60\n y = [y; y];\n end", "takes more than 200000 operations on elements of signals"),
+        ("A = ones(90, 90)*u; B = A*A; y = B(1, 1);", "takes more than 200000 operations on elements of signals"),
+        ("y = u; for i = 1:300\n for j = 1:300\n y = y*1.1;\n end\n end", "takes more than 50000 operations"),
+        ("y = u;\n" + "if u > 0\n" * 60 + "y = 1;\n" + "end\n" * 60, "blocks stand in each other too deep"),
+        ("y = zeros(1e5, 1e5)*u;", "too many elements"),
+        ("y = f(u);", "functions call each other too deep"),
+        ("system('touch /tmp/x'); y = u;", "system is not computed"),
+    ],
+)
+def test_a_function_without_end_is_refused(body: str, why: str) -> None:
+    with pytest.raises(DiagramError, match=why):
+        MatlabFunction(f"function y = f(u)\n{body}\n", [Signal()])

@@ -12,7 +12,7 @@ structure and `list` for a cell array.
 import io
 import math
 import re
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,8 @@ from twodof.slx.matlab.values import (
 )
 
 MOST_STEPS = 50_000
+MOST_ON_SIGNALS = 200_000
+"""Most operations on elements of signals: each becomes one of the program."""
 DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
 
 _TOKEN = re.compile(
@@ -279,6 +281,7 @@ class Evaluation:
 
     names: MutableMapping[str, Value]
     steps: int = 0
+    on_signals: int = 0
     ends: list[tuple[Array, int, int]] = field(default_factory=list)
     """What `end` stands for: the array that is indexed, which index, and of how many."""
 
@@ -287,6 +290,24 @@ class Evaluation:
         self.steps += 1
         if self.steps > MOST_STEPS:
             raise NotComputed(f"takes more than {MOST_STEPS} operations")
+
+    def count_signals(self, operations: float) -> None:
+        """Count operations on elements of signals before they are made. Raises NotComputed for too many."""
+        self.on_signals += int(min(operations, MOST_ON_SIGNALS + 1))
+        if self.on_signals > MOST_ON_SIGNALS:
+            raise NotComputed(f"takes more than {MOST_ON_SIGNALS} operations on elements of signals")
+
+
+def _operations(name: str, values: Sequence[Value]) -> float:
+    """Return how many operations on elements an operator or a function of these values takes, about."""
+    sizes = [float(one.size) for one in values if isinstance(one, np.ndarray)]
+    if len(sizes) < 2 or (min(sizes) == 1.0 and name != "^"):
+        return sum(sizes)
+    a, b = (one for one in values[:2] if isinstance(one, np.ndarray))
+    if name == "^":
+        power = 1.0 if is_signal(b) else abs(float(b.flat[0]))
+        return float(a.shape[0]) ** 3 * power if a.size > 1 else power
+    return sizes[0] * b.shape[1] if name == "*" else sum(sizes)
 
 
 class EvaluatingParser:
@@ -529,6 +550,11 @@ class EvaluatingParser:
         self.matrix = matrix
         if bracket == "{":
             return [value for row in rows for value in row]
+        sizes = [one.size for row in rows for one in row if isinstance(one, np.ndarray)]
+        if any(map(is_signal, (one for row in rows for one in row))):
+            self.evaluation.count_signals(sum(sizes))
+        if sum(sizes) > MOST_ELEMENTS:
+            raise NotComputed(f"an array has more than {MOST_ELEMENTS} elements")
         return joined([row for row in rows if row])
 
     def arguments(self, indexed: Value = None) -> list[Value]:
@@ -574,6 +600,8 @@ class EvaluatingParser:
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Return what a function gives: for a `count` above 1 a list."""
         signals = count > 1 or any(map(is_signal, arguments))
+        if signals:
+            self.evaluation.count_signals(_operations("*" if name == "mtimes" else name, arguments))
         if name not in (*FUNCTIONS, *(SIGNAL_FUNCTIONS if signals else ())):
             raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
         try:
@@ -590,6 +618,8 @@ class EvaluatingParser:
         if isinstance(left, dict | list) or isinstance(right, dict | list):
             raise NotComputed(f"'{operator}' of a structure or a cell")
         a, b = as_array(left), as_array(right)
+        if is_signal(a) or is_signal(b):
+            self.evaluation.count_signals(_operations(operator, (a, b)))
         try:
             with np.errstate(all="ignore"):
                 return bounded((SIGNAL_OPERATORS if is_signal(a) or is_signal(b) else OPERATORS)[operator](a, b))

@@ -40,7 +40,7 @@ from twodof.slx.matlab.values import (
     stored,
 )
 
-DEEPEST_CALLS = 20
+DEEPEST_CALLS, DEEPEST_BLOCKS = 20, 50
 EMPTY = np.zeros((0, 0))
 _OPENING = {"if", "for", "parfor", "while", "switch", "try", "function"}
 _CLAUSES = {"elseif", "else", "case", "otherwise", "catch"}
@@ -95,6 +95,8 @@ class Code:
         for at, word in words:
             if word in _OPENING and (closed or word != "function"):
                 opened.append([at])
+                if len(opened) > DEEPEST_BLOCKS:
+                    raise NotComputed(f"line {self.tokens[at].line}: blocks stand in each other too deep")
             elif word in _CLAUSES and opened:
                 opened[-1].append(at)
             elif word == "end":
@@ -465,9 +467,9 @@ def call(
     kept = {name: value for name, value in evaluation.names.items() if "." in name}
     names: MutableMapping[str, Value] = {**code.known, **kept, **dict(zip(function.arguments, arguments, strict=False))}
     names["nargin"] = np.array([[float(len(arguments))]])
-    inner = Evaluation(names, evaluation.steps)
+    inner = Evaluation(names, evaluation.steps, evaluation.on_signals)
     Program(code, function, inner, depth).run()
-    evaluation.steps = inner.steps
+    evaluation.steps, evaluation.on_signals = inner.steps, inner.on_signals
     evaluation.names.update({name: value for name, value in inner.names.items() if "." in name})
     for name in function.results:
         if name not in inner.names and depth == 0:
