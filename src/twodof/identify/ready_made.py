@@ -153,18 +153,20 @@ def true_values(
 ) -> dict[str, float]:
     """Return the true unknowns of an experiment (`TRUTH`) flown on a rig with these parameters.
 
-    mu and k_v are those at the battery's voltage from `start` to `stop` [s], mu also at the thrust. A log that lacks
-    these signals has no truth.
+    mu and k_v are those at the battery's mean voltage from `start` to `stop` [s], mu also at the thrust. A log that
+    lacks these signals has no truth.
     """
     if "T" not in log or "voltage" not in log:
         return {}
-    thrust = log["T"].slice(start, stop).value
-    volts = log["voltage"].slice(start - 1.0, stop).value  # it comes twice a second, and rises when the motors stop
-    if not thrust.size or not volts.size or not np.isfinite([*thrust, *volts]).all():
+    thrust = log["T"].slice(start, stop)
+    sampled = log["voltage"].slice(start - 1.0, stop)  # it comes twice a second, and rises when the motors stop
+    if not thrust.value.size or not sampled.value.size:
         return {}
-    supply = float(np.mean(volts / (rig["voltage_full"] - rig["resistance"] * rig["hover_current"])) ** 2)
+    # A pack that polarises falls by .2 % a second: the samples before `start` count for the time after it only.
+    volts = np.interp(thrust.time, sampled.time, sampled.value)
+    supply = float(np.mean((volts / (rig["voltage_full"] - rig["resistance"] * rig["hover_current"])) ** 2))
     known = model_parameters(rig)
-    known |= {"mu": supply * moment_gain(rig, float(np.mean(thrust))), "k_v": supply * known["k_v"]}
+    known |= {"mu": supply * moment_gain(rig, float(np.mean(thrust.value))), "k_v": supply * known["k_v"]}
     return {unknown: known[name] for unknown, name in TRUTH[experiment].items()}
 
 

@@ -120,7 +120,7 @@ class Rail(Block):
     `lift` is the thrust over that at which k_v is stated (a constant 1 where it does not vary).
 
     The drone's centre lies below the bearing, so the thrust accelerates the common centre of mass, whose speed is v.
-    The cart is `lever` sin(theta) behind it (physics, equation 2). Without the lever, k_v is found 1.3 % too small from
+    The cart is `lever` sin(theta) behind it (physics, equation 2). Without the lever, k_v is found 1.6 % too small from
     a doublet of the rig `lab`, whose lever is 4 mm.
 
     The measured q is integrated to theta here. The on-board estimate of theta errs while the cart accelerates, as it

@@ -39,7 +39,7 @@ _SCALES: Mapping[str, float] = {
 
 ROTOR_LAG = (0.012, 0.005)
 """Lag of the rotors [s], mean and standard deviation. Closed-loop flights of the real drone gave .0126 to .0147 s, each
-to .0005 s, and its calibration .0114 s. The deviation is ten times that of a flight: other motors have other lags."""
+to .0005 s, and its calibration .0123 s. The deviation is ten times that of a flight: other motors have other lags."""
 
 RAIL_WALK: Mapping[str, tuple[float, float]] = MappingProxyType({"theta_0": (6.5e-4, 1.6), "v_0": (0.004, 4.0)})
 """Pushes at the pitch [rad/sqrt(s)] and at the speed along the rail [m/s/sqrt(s)]: density, and factor of a deviation.
