@@ -18,7 +18,7 @@ LONG_MS = 1000.0 * PATIENCE_S
 STANDS_S = 4.0
 """How long the lesson has the cart move and stand."""
 
-FIGURES = re.compile(r"\d\.\d{3}\s+\d+\.\d\s", re.DOTALL)
+FIGURES = re.compile(r"\d\.\d{3}\s*\d+\.\d")
 
 
 def run(page: Page, take: Take) -> None:

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
@@ -166,6 +165,8 @@ def script_text(data: bytes, where: str) -> fence.Answer:
 
 def mat_values(data: bytes, where: str) -> fence.Answer:
     """Return the numbers, texts and structures of a .mat file, behind the fence: arrays apart, others by name."""
+    from scipy.io import loadmat  # imported late, in the fence: the server starts without it
+
     arrays: list[Array] = []
     skipped: list[tuple[str, str]] = []
 
