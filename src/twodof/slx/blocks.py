@@ -1,4 +1,4 @@
-"""What Simulink's blocks are here: a table from type to the library's blocks that compute the same, to the bit.
+"""Simulink's blocks as the library's: a table from type to the library's blocks that compute the same, to the bit.
 
 A function of the table gets a block with its parameters computed and the signals at its inputs, and returns a block or
 a small diagram. What it does not cover it refuses by the parameter's name. MathWorks' C computes sums and products from

@@ -277,7 +277,7 @@ class _Chart:
             self._say(text, f"{action} of {state.name}")
 
     def _by_child(self, parent: _State, write: Callable[[_State], None]) -> None:
-        """Write a branch for each of the states of which one is active."""
+        """Write a branch for each state of a group, of which one is active."""
         for k, child in enumerate(parent.children):
             self._say(f"{'if' if k == 0 else 'elseif'} {parent.active} == {child.number}")
             write(child)

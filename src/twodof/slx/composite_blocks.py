@@ -368,7 +368,7 @@ def _manual_switch(c: Asked) -> Made:
 
 
 def _multiport(c: Asked) -> Made:
-    """Return a choice by number; what is no number of an input takes the last one, or the one for it."""
+    """Return a choice by number; a number without an input takes the last input, or the default one."""
     control, data = c.inputs[0], c.inputs[1:]
     if len(data) < 2 or control.width is not None or control.kind == "bool" or len({one.kind for one in data}) > 1:
         raise NotTranslated("it has one data input, inputs of several types, or a control that is no number")

@@ -1,4 +1,4 @@
-"""What an import knows of a model: its sheets, blocks and signals, and what drives an input wherever that stands."""
+"""The sheets, blocks and signals of a model, and the output that drives an input, wherever that stands."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
