@@ -1,4 +1,4 @@
-"""What differs between two Simulink models, for a reviewer: blocks, parameters, wires and code, by name.
+"""Differences between two Simulink models, for a reviewer: blocks, parameters, wires and code, by name.
 
 Blocks are matched by their path; those left over by their identifier (SID), which survives a new name and a move. Looks
 (places, colours, fonts) are counted and not listed. A wire is said by its ends, `Gain1 -> Sum:2`.
@@ -20,7 +20,7 @@ _LOOKS = re.compile(
 
 @dataclass
 class ModelDifference:
-    """What differs. Each change of a value is (path, name, before, after); "" where there was none."""
+    """Differences. Each change of a value is (path, name, before, after); "" where there was none."""
 
     added: list[tuple[str, str]] = field(default_factory=list)
     """Path and kind of each block that only the second model has."""
@@ -37,7 +37,7 @@ class ModelDifference:
 
     @property
     def equal(self) -> bool:
-        """Whether nothing but looks differs."""
+        """True if nothing but looks differs."""
         return not (self.added or self.removed or self.renamed or self.values or self.wires or self.code)
 
 

@@ -46,7 +46,7 @@ _SINGLE = "single: computed in the precision of the build"
 
 @dataclass
 class Imported:
-    """What an import gave: the diagram (None if something was refused), its period [s] and the report."""
+    """Result of an import: the diagram (None if something was refused), its period [s] and the report."""
 
     diagram: Diagram | None
     dt: float

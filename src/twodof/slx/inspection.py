@@ -1,4 +1,4 @@
-"""What a Simulink model holds: release, solver, sample times, blocks, libraries, code, and the names that it needs.
+"""Contents of a Simulink model: release, solver, sample times, blocks, libraries, code, and the names that it needs.
 
 `inspect(model, folders)` reads the libraries too, as far as they are there.
 """
@@ -80,7 +80,7 @@ class Library:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What `inspect` found. `names` are those that the model's values take from a workspace, with who asks for them."""
+    """Result of `inspect`. `names` are those that the model's values take from a workspace, with who asks for them."""
 
     model: Model
     blocks: dict[str, int]

@@ -91,7 +91,7 @@ class SimulinkBlock:
 
     @property
     def kind(self) -> str:
-        """What the block is for a reader: its type, the library block of a link, or MATLAB Function and Chart."""
+        """The block's kind for a reader: its type, the library block of a link, or MATLAB Function and Chart."""
         if self.type == "Reference":
             return collapsed(self.values.get("SourceBlock", "")).rpartition("/")[2] or "Reference"
         special = self.values.get("SFBlockType", "NONE")
@@ -99,7 +99,7 @@ class SimulinkBlock:
 
     @property
     def commented(self) -> bool:
-        """Whether it is commented out, or through."""
+        """True if it is commented out, or through."""
         return self.values.get("Commented", "off") != "off"
 
     @property

@@ -263,7 +263,7 @@ def _label(text: str, x: float, y: float, most: float, kind: str = "") -> str:
 
 
 def _unnamed(block: SimulinkBlock) -> bool:
-    """Whether Simulink hides the name: one that it gave itself, such as Gain2."""
+    """Return True if Simulink hides the name: one that it gave itself, such as Gain2."""
     stem = re.sub(r"[\s\d]+", "", block.name).lower()
     if block.values.get("HideAutomaticName", "on") == "off" or block.type in ("Inport", "Outport", "SubSystem"):
         return False

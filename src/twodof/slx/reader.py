@@ -1,4 +1,4 @@
-"""What is kept of a Simulink file, as plain values: found behind the fence; `model` makes objects of it."""
+"""Plain values of a Simulink file: found behind the fence; `model` makes objects of it."""
 
 import re
 from collections.abc import Iterator

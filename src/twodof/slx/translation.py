@@ -129,7 +129,7 @@ Item = LibraryBlock | Diagram
 
 @dataclass
 class Made:
-    """What a block became: None where it only passes its inputs on, or is dropped."""
+    """The translation of a block: None where it only passes its inputs on, or is dropped."""
 
     item: Item | None
     outputs: list[Signal]

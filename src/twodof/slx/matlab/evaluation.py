@@ -391,7 +391,7 @@ class EvaluatingParser:
         return value
 
     def separated(self) -> bool:
-        """Whether the sign here begins the next element of a matrix, as in `[1 -2]`."""
+        """Return True if the sign here begins the next element of a matrix, as in `[1 -2]`."""
         following = self.tokens[self.at + 1]
         return self.matrix and self.here.spaced and not following.spaced and self.here.text in ("+", "-")
 

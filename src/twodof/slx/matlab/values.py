@@ -34,7 +34,7 @@ class Members(dict[str, Value]):
 
 
 class NotComputed(Exception):
-    """What the subset does not compute, or what is wrong in an expression."""
+    """Reason why an expression is not computed: it is beyond the subset, or wrong."""
 
 
 def number(value: Value) -> Value:
