@@ -13,7 +13,7 @@ from tests import toolchains
 from tests.patience import PATIENCE_S
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import assigned_names, evaluate, run
-from twodof.slx.matlab.values import number
+from twodof.slx.matlab.values import Value, number
 
 pytestmark = pytest.mark.slow
 
@@ -179,3 +179,10 @@ def test_what_is_not_computed_leaves_nothing_behind() -> None:
     assert len(skipped) == 81
     assert names["c"] == 2  # type: ignore[comparison-overlap]
     assert "d" not in names
+
+
+def test_a_third_dimension_is_skipped_with_its_line() -> None:
+    names: dict[str, Value] = {}
+    (skipped,) = run("a = 1;\nA(1, 2, 3) = 4;\nb = 2;", names)
+    assert (skipped.line, sorted(names)) == (2, ["a", "b"])
+    assert "two dimensions" in skipped.why

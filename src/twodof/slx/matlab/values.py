@@ -200,6 +200,8 @@ def stored(old: Value, steps: list[Any], value: Value) -> Value:
     if rest or isinstance(old, dict | list | str):
         raise NotComputed("an array of structures or cells is not computed")
     array, new = (np.zeros((0, 0)) if old is None else old), as_array(value)
+    if array.ndim != 2 or new.ndim != 2 or len(step) > 2:
+        raise NotComputed("an array of other than two dimensions is not computed")
     if any(map(is_signal, step)):
         return _replaced(array, step, new)
     if is_signal(array) or is_signal(new):
