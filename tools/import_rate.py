@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from twodof.compile import build
-from twodof.errors import DiagramError, TwodofError
-from twodof.slx.importer import Imported, import_system
+from twodof.errors import TwodofError
+from twodof.slx.importer import import_system
 from twodof.slx.inspection import inspect
 from twodof.slx.matlab.evaluation import assigned_names, read_workspace
 from twodof.slx.matlab.values import Value
-from twodof.slx.model import Model, read_model
+from twodof.slx.model import read_model
 
 MISSING = re.compile(r"is not found|cannot be found")
 STEPS = 1000
@@ -69,7 +69,7 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     found.invented = len(missing)
     names |= {name: np.array([[1.0]]) for name in missing}
     try:
-        imported = _imported(model, names, folders)
+        imported = import_system(model, "", names, folders, otherwise=PERIOD)
         if imported.diagram is None and not imported.refused:
             raise TwodofError("nothing is refused, and there is no diagram", str(path), "mend the importer")
         for line in imported.refused:
@@ -97,15 +97,6 @@ def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
                 read_workspace(file, found)
             values = {name: value for name, value in found.items() if name in wanted} | values
     return values
-
-
-def _imported(model: Model, names: dict[str, Value], folders: list[Path]) -> Imported:
-    try:
-        return import_system(model, "", names, folders)
-    except DiagramError as reason:
-        if "says the period" not in reason.what:
-            raise
-        return import_system(model, "", names, folders, PERIOD)
 
 
 def models(repository: Path) -> list[tuple[Path, list[Path]]]:

@@ -213,10 +213,15 @@ def system(blocks: Blocks, lines: Lines, prefix: str = "") -> str:
     return f"<System>{body}</System>"
 
 
+def model(blocks: Blocks, lines: Lines) -> dict[str, str]:
+    """Return the parts of a model."""
+    inside = f"<ModelInformation><Model>{system(blocks, lines)}</Model></ModelInformation>"
+    return {"simulink/blockdiagram.xml": inside}
+
+
 def model_of(blocks: Blocks, lines: Lines, path: Path) -> Path:
     """Write a model with systems in it, and return its path."""
-    inside = f"<ModelInformation><Model>{system(blocks, lines)}</Model></ModelInformation>"
-    return slx({"simulink/blockdiagram.xml": inside}, path)
+    return slx(model(blocks, lines), path)
 
 
 def slx(files: dict[str, str], path: Path) -> Path:

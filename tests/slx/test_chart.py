@@ -6,7 +6,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pytest
 
-from tests.slx.files import Blocks, Lines, slx, system
+from tests.slx.files import Blocks, Lines, model, slx
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.slx.importer import Imported, import_system
@@ -65,7 +65,7 @@ def chart(folder: Path, parts: str, *extra: str, settings: str = "", outputs: tu
     head = '<P Name="name">chart</P><P Name="actionLanguage">2</P>' if "actionLanguage" not in settings else ""
     body = f'<chart id="9">{head}{settings}<Children>{parts}{"".join(held)}</Children></chart>'
     files = {
-        "simulink/blockdiagram.xml": f"<ModelInformation><Model>{system(blocks, lines)}</Model></ModelInformation>",
+        **model(blocks, lines),
         "simulink/stateflow/chart_9.xml": body,
     }
     return import_system(read_model(slx(files, folder / "m.slx")), dt=DT)

@@ -15,7 +15,7 @@ from scipy.io import savemat
 from scipy.signal import lfilter
 from typer.testing import CliRunner
 
-from tests.slx.files import EVERY_SECOND, slx, written
+from tests.slx.files import model, slx, written
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.cli.slx import slx as command
@@ -29,25 +29,6 @@ from twodof.slx.model import read_model
 pytestmark = pytest.mark.slow
 DT = 0.01
 STEPS = 200
-
-
-def model(blocks: list[tuple[str, str, dict[str, str]]], lines: list[tuple[str, str]]) -> dict[str, str]:
-    """The parts of a model: blocks of (type, name, values), and lines from `name:port` to `name:port`."""
-    ids = {name: str(k + 1) for k, (_, name, _) in enumerate(blocks)}
-
-    def pin(text: str, side: str) -> str:
-        name, _, number = text.partition(":")
-        return f"{ids[name]}#{side}:{number or 1}"
-
-    body = "".join(
-        f'<Block BlockType="{kind}" Name="{name}" SID="{ids[name]}">'
-        + ('<P Name="SampleTime">-1</P>' if kind in EVERY_SECOND and "SampleTime" not in values else "")
-        + "".join(f'<P Name="{key}">{escape(value)}</P>' for key, value in values.items())
-        + "</Block>"
-        for kind, name, values in blocks
-    )
-    body += "".join(f'<Line><P Name="Src">{pin(a, "out")}</P><P Name="Dst">{pin(b, "in")}</P></Line>' for a, b in lines)
-    return {"simulink/blockdiagram.xml": f"<ModelInformation><Model><System>{body}</System></Model></ModelInformation>"}
 
 
 def flown(found: Imported, inputs: dict[str, np.ndarray], steps: int = STEPS) -> dict[str, np.ndarray]:
@@ -510,3 +491,17 @@ def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:
     assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], 2.0 * DRAWN[0] + 0.5 - 3.0)
     (refused,) = import_system(whole, workspace={"k": np.array([[3.0]])}, dt=DT).refused
     assert "twice" in refused.why
+
+
+def test_a_damaged_library_refuses_its_links_alone(tmp_path: Path) -> None:
+    (tmp_path / "torn.slx").write_bytes(b"PK and then nothing")
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("Reference", "linked", {"SourceBlock": "torn/half"}),
+        ("S-Function", "own", {}),
+        ("Outport", "y", {}),
+    ]
+    whole = read_model(slx(model(blocks, [("u", "linked"), ("u", "own"), ("linked", "y")]), tmp_path / "m.slx"))
+    found = import_system(whole, folders=[tmp_path], otherwise=DT)
+    assert {line.path for line in found.refused} == {"linked", "own"}
+    assert found.notes == ["the model says no period: 0.01 s is taken"]

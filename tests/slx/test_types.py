@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.slx.files import slx
-from tests.slx.test_import import DRAWN, DT, flown, model
+from tests.slx.files import model, slx
+from tests.slx.test_import import DRAWN, DT, flown
 from twodof.errors import DiagramError
 from twodof.slx.dictionary import dictionary
 from twodof.slx.importer import Imported, import_system

@@ -92,7 +92,7 @@ def test_a_refused_block_names_itself_and_other_files_are_refused(
     drop(page, slx({"simulink/blockdiagram.xml": body}, tmp_path / "opaque.slx"))
     dialog = page.get_by_role("dialog", name="Simulink model opaque.slx")
     expect(dialog.get_by_role("row", name="secret")).to_contain_text("refused")
-    expect(dialog.get_by_text("the model names no period: that of the drone, 0.004 s, is taken")).to_be_visible()
+    expect(dialog.get_by_text("the model says no period: 0.004 s is taken")).to_be_visible()
     assert axe(page, "dialog") == []
     dialog.get_by_role("button", name="Close").last.click()
     broken = tmp_path / "broken.slx"

@@ -153,11 +153,7 @@ def simulink(folder: str, names: list[str], sizes: list[int], system: str) -> di
     svg = sheet_svg(model, system)
     if len(svg) > MOST_PICTURE:
         raise DiagramError("the sheet is too large to be drawn", system or names[0], "import one of its subsystems")
-    try:
-        found = import_system(model, system, known, [place])
-    except DiagramError:  # neither the blocks nor the solver say the period
-        found = import_system(model, system, known, [place], PERIOD)
-        notes.append(f"the model names no period: that of the drone, {PERIOD:g} s, is taken")
+    found = import_system(model, system, known, [place], otherwise=PERIOD)
     return {
         "name": model.name,
         "release": model.release,

@@ -8,7 +8,7 @@ from twodof.errors import DiagramError
 from twodof.slx.blocks import INPUTS, RULES
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Activation
 from twodof.slx.matlab.values import NotComputed
-from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, collapsed, escaped, port_number
+from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, port_number
 from twodof.slx.sheet import Sheet
 from twodof.slx.translation import Made, NotTranslated, Signal
 
@@ -16,6 +16,7 @@ Output = tuple[str, str, int]
 """An output of a block: path of its system, identifier and number."""
 PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED)
 """Types that only pass signals on, or say when a system acts."""
+_TRANSLATED = {*RULES, *CODED}
 STORES = ("DataStoreMemory", "DataStoreRead", "DataStoreWrite")
 
 
@@ -113,7 +114,7 @@ class Connections:
             path, sid, output = source
             sheet = self.sheets[path]
             block = sheet.system.blocks[sid]
-            inner = f"{path}/{escaped(block.name)}".lstrip("/")
+            inner = below(path, block)
             if inner in self.sheets and self._is_system(block):
                 port = self.sheets[inner].ports.get(("Outport", output))
                 source = None if port is None else self._source(inner, Pin(port, "in", 1))
@@ -130,10 +131,7 @@ class Connections:
 
     @staticmethod
     def _is_system(block: SimulinkBlock) -> bool:
-        return block.type in ("SubSystem", "Reference", "ModelReference") and block.kind not in (
-            *RULES,
-            *CODED,
-        )
+        return block.type in ("SubSystem", "Reference", "ModelReference") and block.kind not in _TRANSLATED
 
     def _inputs(self, key: tuple[str, str]) -> list[Pin]:
         block = self.blocks[key]
@@ -170,4 +168,4 @@ class Connections:
 
     def _line(self, path: str, sid: str, status: str, why: str) -> None:
         block = self.blocks[path, sid]
-        self.report.append(ReportLine(f"{path}/{escaped(block.name)}".lstrip("/"), block.kind, status, why))
+        self.report.append(ReportLine(below(path, block), block.kind, status, why))

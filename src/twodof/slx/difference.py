@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from twodof.slx.model import Model, Pin, SimulinkBlock, SimulinkChart, System, collapsed, escaped
+from twodof.slx.model import Model, Pin, SimulinkBlock, SimulinkChart, System, below, collapsed
 
 _LOOKS = re.compile(
     "Position|ZOrder|Location|Font|.*Color|Orientation|Block(Mirror|Rotation)|NamePlacement|NameLocation|ShowName"
@@ -121,7 +121,7 @@ def _wires(path: str, system: System, pairs: Mapping[str, str]) -> Iterator[tupl
 
     def end(pin: Pin) -> str:
         block = system.blocks.get(pin.sid)
-        name = f"{path}/{escaped(block.name)}".lstrip("/") if block is not None else pin.sid
+        name = below(path, block) if block is not None else pin.sid
         short = _split(pairs.get(name, name))[-1]
         return short if (pin.kind in ("in", "out") and pin.number == 1) else f"{short}:{_port(pin)}"
 

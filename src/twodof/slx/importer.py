@@ -33,7 +33,7 @@ from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab.evaluation import evaluate, run
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
-from twodof.slx.model import CODED, Model, SimulinkBlock, System, collapsed, escaped, read_model
+from twodof.slx.model import CODED, Model, SimulinkBlock, System, below, collapsed, escaped, read_model
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
@@ -65,23 +65,33 @@ def import_system(
     workspace: Mapping[str, Value] | None = None,
     folders: Sequence[Path] = (),
     dt: float | None = None,
+    otherwise: float | None = None,
 ) -> Imported:
     """Translate the system at `path` ("": the whole model). `workspace` has the names that the model takes.
 
     Libraries are looked for in `folders`. `dt` is the period [s]; None takes it from the blocks' sample times, or from
-    the model's fixed step. Raises DiagramError for a path that does not exist.
+    the model's fixed step, and `otherwise` where they say none. Raises DiagramError for a path that does not exist, and
+    where nothing says the period.
     """
-    return _Import(model, path, dict(workspace or {}), folders, dt).run()
+    return _Import(model, path, dict(workspace or {}), folders, dt, otherwise).run()
 
 
 class _Import(Wiring):
     def __init__(
-        self, model: Model, path: str, workspace: dict[str, Value], folders: Sequence[Path], dt: float | None
+        self,
+        model: Model,
+        path: str,
+        workspace: dict[str, Value],
+        folders: Sequence[Path],
+        dt: float | None,
+        otherwise: float | None,
     ) -> None:
         super().__init__(model, path)
-        self.folders, self.given_dt = folders, dt
+        self.folders, self.given_dt, self.otherwise = folders, dt, otherwise
         self.libraries: dict[str, Model | None] = {}
+        self.library_blocks: dict[str, dict[str, SimulinkBlock]] = {}
         self.names = {**self._names_of(model), **workspace}
+        self.names_of: dict[str, dict[str, Value]] = {}
         self.referenced: dict[str, dict[str, Value]] = {}
         self.times: dict[tuple[str, str], tuple[float, float]] = {}
         self.code = {collapsed(one.path): one for one in model.charts}
@@ -109,12 +119,13 @@ class _Import(Wiring):
                 self._try(key, partial(self._inport, key, block))
         self._rates()
         self._infer()
-        diagram = None if any(line.status == "refused" for line in self.report) else self._diagram(self.path)
-        if any(line.status == "refused" for line in self.report):  # what only the connections show
-            diagram = None
+        imported = Imported(None, self.dt, self.report, self.notes)
+        if not imported.refused:
+            diagram = self._diagram(self.path)
+            imported.diagram = None if imported.refused else diagram  # some things only the connections show
         order = {"refused": 0, "not reached": 1, "approximated": 2, "dropped": 3, "imported": 4}
         self.report.sort(key=lambda line: order[line.status])
-        return Imported(diagram, self.dt, self.report, self.notes)
+        return imported
 
     # --- what there is
 
@@ -152,12 +163,13 @@ class _Import(Wiring):
         system = with_bus_ports(System(dict(system.blocks), system.lines))
         inside: list[tuple[str, str, System, SimulinkBlock]] = []
         for sid, block in system.blocks.items():
-            at = f"{path}/{escaped(block.name)}".lstrip("/")
+            at = below(path, block)
             try:
                 linked = block if block.commented else self._linked(block, at)
                 inner, masked = (None, block) if block.commented else self._body(linked, names, at)
-            except NotTranslated as reason:
-                self.report.append(ReportLine(at, block.kind, "refused", str(reason)))
+            except (NotTranslated, DiagramError) as reason:
+                why = reason.what if isinstance(reason, DiagramError) else str(reason)
+                self.report.append(ReportLine(at, block.kind, "refused", why))
                 linked, inner = block, None
             self.blocks[path, sid] = system.blocks[sid] = linked
             if inner is not None:
@@ -182,7 +194,7 @@ class _Import(Wiring):
                 return block
             if library in OWN_LIBRARIES:
                 raise NotTranslated(f"the library block {library}/{inside} is not translated")
-            found = dict(self._file(library).blocks()).get(inside)
+            found = self._library(library).get(inside)
             if found is None:
                 raise NotTranslated(f"the library {library} has no block {inside}")
             self._take_code(library, inside, at)
@@ -223,7 +235,9 @@ class _Import(Wiring):
         model = self._file(file, "model")
         if model.kind != "model":
             raise NotTranslated(f"{file} is a {model.kind}, not a model")
-        own = {**self._names_of(model), **self.names}
+        if file not in self.names_of:
+            self.names_of[file] = self._names_of(model)
+        own = {**self.names_of[file], **self.names}
         arguments = [block.values.get(f"ParameterArgument{end}", "") for end in ("Names", "Values")]
         for name, text in zip(*(re.findall(r"[^,]+", one) for one in arguments), strict=False):
             own[name.strip()] = evaluate(text, names, name)
@@ -240,6 +254,12 @@ class _Import(Wiring):
         if found is None:
             raise NotTranslated(f"the {what} {name} is not found: name its folder with --path")
         return found
+
+    def _library(self, name: str) -> dict[str, SimulinkBlock]:
+        """Return the blocks of a library by path."""
+        if name not in self.library_blocks:
+            self.library_blocks[name] = dict(self._file(name).blocks())
+        return self.library_blocks[name]
 
     def _take_code(self, library: str, inside: str, at: str) -> None:
         """Let the MATLAB Functions and charts of a library's block be those of the block at a path."""
@@ -278,14 +298,14 @@ class _Import(Wiring):
         """Return the base period [s], and note the blocks' own times. Raises DiagramError where there is none."""
         found: dict[float, str] = {}
         for key, block in self.blocks.items():
-            values = {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
+            values = self._values(key)
             wanted = "OutPortSampleTime" if block.type == "RateTransition" else "SampleTime"
             text = values.get(wanted, "1" if block.type in EVERY_SECOND else "-1")
             timed = block.type == "DiscretePulseGenerator" and values.get("PulseType", "Sample based") == "Time based"
             silent = timed or block.commented or block.type in (*DROPPED, *CONTROL_PORTS)
             if text in ("-1", "inf", "[-1, 0]", "") or silent:
                 continue
-            where = f"{key[0]}/{escaped(block.name)}".lstrip("/")
+            where = below(key[0], block)
             try:
                 time = number(evaluate(text, self.sheets[key[0]].names, "SampleTime")).astype(float).flatten()
             except (DiagramError, AttributeError) as reason:
@@ -300,6 +320,9 @@ class _Import(Wiring):
             try:
                 found.setdefault(float(number(evaluate(step, self.names, "FixedStep")).flat[0]), "the fixed step")
             except (DiagramError, AttributeError):
+                if not found and self.given_dt is None and self.otherwise is not None:
+                    self.notes.append(f"the model says no period: {self.otherwise:g} s is taken")
+                    return self.otherwise
                 if not found and self.given_dt is None:
                     what = f"no block and no fixed step ({step}) says the period"
                     raise DiagramError(what, self.model.name, "give it with --dt SECONDS") from None
@@ -333,6 +356,11 @@ class _Import(Wiring):
                 fed = {declared.get(one) for one, found in feeding.items() if key in found}
                 declared[key] = next(iter(fed)) or BASE if len(fed) == 1 else BASE
         self.rates = inherited(declared, feeding)
+
+    def _values(self, key: tuple[str, str]) -> dict[str, str]:
+        """Return a block's values as text: those of its file's defaults, its own, and what a link gives."""
+        block = self.blocks[key]
+        return {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
 
     # --- the types of the signals
 
@@ -447,8 +475,7 @@ class _Import(Wiring):
         behind: Mapping[Output, list[tuple[str, str]]],
     ) -> Signal:
         """Return the type that a state in a loop has by its initial value, or else by what it meets behind it."""
-        block = self.blocks[key]
-        values = {**self.model.defaults.get(block.type, {}), **block.values, **block.instance}
+        values = self._values(key)
         name = next((one for one in ("C", "InitialCondition", "X0") if one in values), "")
         size = 1
         with suppress(DiagramError, NotComputed):
@@ -480,7 +507,7 @@ class _Import(Wiring):
         """Return True for a block whose type is that of what is behind it."""
         block = self.blocks[key]
         default = BACKWARDS if block.type in ("DataTypeConversion", "Ground") else ""
-        values = {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
+        values = self._values(key)
         return values.get("OutDataTypeStr", default) == BACKWARDS and block.kind in RULES
 
     def _wanted(self, key: tuple[str, str]) -> str:
@@ -494,7 +521,7 @@ class _Import(Wiring):
     def _translate(self, key: tuple[str, str]) -> None:
         """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
         block, path = self.blocks[key], key[0]
-        code = self.code.get(f"{path}/{escaped(block.name)}".lstrip("/"))
+        code = self.code.get(below(path, block))
         rule = function_rule(code) if block.kind in CODED else RULES.get(block.kind)
         rule = self._store(key) if block.type in STORES else rule
 
@@ -502,7 +529,7 @@ class _Import(Wiring):
             if rule is None:
                 raise NotTranslated(f"the block type {block.kind} is not translated")
             inputs = [self._type(path, pin) or Signal() for pin in self._inputs(key)]
-            values = {**self.defaults[path].get(block.type, {}), **block.values, **block.instance}
+            values = self._values(key)
             if block.kind in RULES:
                 check_inputs(block.kind, inputs)
             labels = [self._label(path, pin) for pin in self._inputs(key)]

@@ -14,7 +14,7 @@ from twodof.errors import DiagramError
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.matlab.evaluation import assigned_names, names_in
 from twodof.slx.matlab.values import FUNCTIONS
-from twodof.slx.model import Mask, Model, SimulinkBlock, System, collapsed, escaped, port_number, read_model
+from twodof.slx.model import Mask, Model, SimulinkBlock, System, below, collapsed, port_number, read_model
 
 OWN_LIBRARIES = ("simulink", "slpidlib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")
 """Libraries that are Simulink's own: their blocks stand for code and are in no file of the user's."""
@@ -181,7 +181,7 @@ def _unresolved(system: System, path: str, known: set[str], masks: Mapping[str, 
     for block in system.blocks.values():
         if block.commented:
             continue
-        at = f"{path}/{escaped(block.name)}".lstrip("/")
+        at = below(path, block)
         mask = masks.get(collapsed(block.values.get("SourceBlock", ""))) if block.type == "Reference" else block.mask
         given = {**block.values, **block.instance}  # a link's values stand beside its own in older files
         values = [given.get(key, "") for key in (*VALUES.get(block.kind, ()), "SampleTime")]

@@ -124,7 +124,7 @@ class System:
         yield path, self
         for block in self.blocks.values():
             if block.system is not None:
-                yield from block.system.walk(f"{path}/{escaped(block.name)}".lstrip("/"))
+                yield from block.system.walk(below(path, block))
 
 
 CODED = ("MATLAB Function", "Chart")
@@ -163,7 +163,7 @@ class Model:
         """Yield each block with its path from the model's top."""
         for path, system in self.root.walk():
             for block in system.blocks.values():
-                yield f"{path}/{escaped(block.name)}".lstrip("/"), block
+                yield below(path, block), block
 
     def system(self, path: str) -> System:
         """Return the system at a path; "" is the top. Raises DiagramError if there is none."""
@@ -184,6 +184,11 @@ def port_number(block: SimulinkBlock) -> int:
 def collapsed(name: str) -> str:
     """Return a name with each run of white space as one space."""
     return " ".join(name.split())
+
+
+def below(path: str, block: SimulinkBlock) -> str:
+    """Return the path of a block in the system at `path`, "" for the top."""
+    return f"{path}/{escaped(block.name)}".lstrip("/")
 
 
 def escaped(name: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from html import escape
 
 from twodof.drawing.text_width import shortened, text_width
-from twodof.slx.model import Line, Model, Pin, SimulinkBlock, System, Wire, collapsed, escaped
+from twodof.slx.model import Line, Model, Pin, SimulinkBlock, System, Wire, below, collapsed
 
 Point = tuple[float, float]
 Rectangle = tuple[float, float, float, float]
@@ -202,7 +202,7 @@ class _Sheet:
     def block(self, block: SimulinkBlock) -> Iterator[str]:
         left, top, right, bottom = self.boxes[block.sid]
         width, height, x = right - left, bottom - top, (left + right) / 2
-        link = sheet_name(self.model, f"{self.path}/{escaped(block.name)}".lstrip("/")) if block.system else ""
+        link = sheet_name(self.model, below(self.path, block)) if block.system else ""
         yield '<g class="off">' if block.commented else "<g>"
         if link:
             yield f'<a href="{_text(link)}">'

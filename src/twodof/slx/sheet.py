@@ -12,7 +12,7 @@ from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.function_block import last_index
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
-from twodof.slx.model import Pin, SimulinkBlock, SimulinkChart, System, collapsed, escaped, port_number
+from twodof.slx.model import Pin, SimulinkBlock, SimulinkChart, System, below, collapsed, port_number
 from twodof.slx.translation import Signal
 
 KEEPS_TYPE = (
@@ -66,7 +66,7 @@ def ends(sheets: Sheets, path: str, pin: Pin, depth: int = 0) -> Iterator[tuple[
         block = sheet.system.blocks.get(sink.sid)
         if block is None or sink.kind != "in" or block.commented:
             continue
-        inner = f"{path}/{escaped(block.name)}".lstrip("/")
+        inner = below(path, block)
         port = sheets[inner].ports.get(("Inport", sink.number)) if inner in sheets else None
         if block.type == "Goto":
             for one in sheet.tagged.get(("From", block.values.get("GotoTag", "A")), []):
@@ -99,7 +99,7 @@ def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, Simulin
                 matrix = block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
                 wanted = found.shape[1] if matrix else 1
         elif block.kind == "MATLAB Function":
-            one = code.get(f"{at}/{escaped(block.name)}".lstrip("/"))
+            one = code.get(below(at, block))
             wanted = 1 if one is None else last_index(one.text, pin.number)
         most = max(most, wanted)
     return most

@@ -14,7 +14,7 @@ from twodof.slx.conditions import Activation, ControlEdge
 from twodof.slx.connections import PASSING, Connections, Output, store_name
 from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.values import as_array, number
-from twodof.slx.model import Pin, SimulinkBlock, System, collapsed, escaped, port_number
+from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number
 from twodof.slx.translation import Made, NotTranslated, Signal, expanded, plain
 
 
@@ -66,7 +66,7 @@ class Wiring(Connections):
         return iter(sorted(system.blocks.items(), key=rank))
 
     def _add(self, diagram: Diagram, path: str, sid: str, block: SimulinkBlock, names: Mapping[str, str]) -> None:
-        inner = f"{path}/{escaped(block.name)}".lstrip("/")
+        inner = below(path, block)
         if block.commented:
             self._report(path, sid, "dropped", "commented out")
             return
@@ -99,7 +99,7 @@ class Wiring(Connections):
             return
         ports = _port_names(item.inputs)
         if isinstance(item, Diagram):
-            self._condition(path, sid, f"{path}/{escaped(block.name)}".lstrip("/"))
+            self._condition(path, sid, below(path, block))
         if isinstance(item, Merge):
             for letter, pin in zip(item.names, self._inputs((path, sid)), strict=True):
                 diagram.connect(self._acts(path, pin), f"{name}.{letter}_acts")
@@ -109,7 +109,7 @@ class Wiring(Connections):
             width = next((port.width for port in item.inputs if port.width is not None and "." not in port.name), None)
         for k, port in enumerate(ports):
             pin = Pin(sid, "in", k + 1)
-            inner = f"{path}/{escaped(block.name)}".lstrip("/")
+            inner = below(path, block)
             if isinstance(item, Diagram) and (inner, port) in self.beyond:
                 diagram.connect(self._name(path, self.beyond[inner, port], names, diagram), f"{name}.{port}")
                 continue
@@ -182,7 +182,7 @@ class Wiring(Connections):
         if source is None:
             raise NotTranslated("nothing drives an input")
         block = self.blocks[source[:2]]
-        inner = f"{path}/{escaped(block.name)}".lstrip("/")
+        inner = below(path, block)
         acting = [one for one in self.conditions.get(inner, ()) if one.pin != "reset"] if source[0] == path else []
         if acting:
             return self._flag(path, source[1], acting[0])
