@@ -47,9 +47,9 @@ class Imu(Block):
 
     The accelerometer gives the mean specific force since its last sample (it integrates, as flight controllers' IMUs
     do), so it sees impacts. Noise is white at rest. Running rotors add vibration in proportion to the thrust. One part
-    is white noise through a band-pass about `vibration_hz`. The other part are the lines of rotors out of balance, one
-    of each pair: they turn `rotor_hz` times a second at the thrust of hover, with the root of the thrust, and the
-    samples fold that frequency: 280 Hz is seen at 30 Hz. A line moves as the command and the battery change the speed.
+    is white noise through a band-pass about `vibration_hz`. The other part is lines: one rotor of each pair is out of
+    balance. It turns `rotor_hz` times a second at the thrust of hover, and with the root of the thrust. The samples
+    fold that frequency: 280 Hz is seen at 30 Hz. A line moves as the command and the battery change the speed.
     As each sample is a mean, a line near 250 Hz is hardly seen.
     """
 
