@@ -41,33 +41,55 @@ HOVER = 0.4
 """Thrust command in hover, at which the drone's trim and friction are stated."""
 
 
+_ROS = MappingProxyType(
+    {
+        "HIGHRES_IMU": "/mavros/imu/data_raw",
+        "TWODOF_TOF": "/mavros/distance_sensor/tof",
+        "ATTITUDE": "/mavros/imu/data",
+        "LOCAL_POSITION_NED": "/mavros/local_position/odom",
+        "ATTITUDE_TARGET": "/mavros/setpoint_raw/target_attitude",
+        "POSITION_TARGET_LOCAL_NED": "/mavros/setpoint_raw/target_local",
+        "ACTUATOR_CONTROL_TARGET": "/mavros/target_actuator_control",
+        "TWODOF_OPENLOOP": "/twodof/openloop",
+        "HEARTBEAT": "/mavros/state",
+        "BATTERY_STATUS": "/mavros/battery",
+        "TWODOF_TRUTH": "/twodof/truth",
+    }
+)
+"""ROS topic of the signals in each MAVLink message."""
+
+
 @dataclass(frozen=True)
 class Topic:
     """Signal with its names on board, in MAVLink, in ROS and in logs.
-
-    `fields` is empty for a scalar; `rate_hz` is the nominal rate, 0 for a signal that is sent on events. `onboard` is
-    False for the simulation's ground truth, which the flight controller cannot read.
 
     `source` holds, for each number of a sample, its name in a control step (`theta`, `acc_x`, `mode`); `places` holds
     its field in the MAVLink message. A signal without `places` is sent in TWODOF_BATCH only. `later` is the delay of
     the signal's stamp in the drone's logs [s], after the stamp of the moment M of the same step. `when` names the flag
     that marks the steps with a new value: "" for every step, "imu_new" or "dist_new" for a sensor's sample, "published"
     for an estimate.
+
+    `fields` is empty for a scalar; `rate_hz` is the nominal rate, 0 for a signal that is sent on events. `onboard` is
+    False for the simulation's ground truth, which the flight controller cannot read.
     """
 
     name: str
     mat: str
-    fields: tuple[str, ...]
     unit: str
-    rate_hz: float
-    mavlink: str
-    ros: str
     text: str
+    mavlink: str
     source: tuple[str, ...] = ()
     places: tuple[str, ...] = ()
     later: float = 0.0
     when: str = ""
+    fields: tuple[str, ...] = ()
+    rate_hz: float = 250.0
     onboard: bool = True
+
+    @property
+    def ros(self) -> str:
+        """Return the ROS topic, one of its own for a signal without a message."""
+        return _ROS.get(self.mavlink, f"/twodof/{self.mat}")
 
     @property
     def own_rate(self) -> bool:
@@ -95,291 +117,44 @@ SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "i
 """Severities of a drone's status texts, by syslog's number."""
 
 TOPICS: tuple[Topic, ...] = (
-    Topic(
-        name="imu.acc",
-        mat="acc",
-        fields=_XYZ,
-        unit="m/s^2",
-        rate_hz=250.0,
-        mavlink="HIGHRES_IMU",
-        ros="/mavros/imu/data_raw",
-        text="specific force, body axes",
-        source=("acc_x", "acc_y", "acc_z"),
-        places=("xacc", "yacc", "zacc"),
-        later=-1.1e-3,
-        when="imu_new",
-    ),
-    Topic(
-        name="imu.gyro",
-        mat="gyr",
-        fields=_XYZ,
-        unit="rad/s",
-        rate_hz=250.0,
-        mavlink="HIGHRES_IMU",
-        ros="/mavros/imu/data_raw",
-        text="angular rate, body axes",
-        source=("gyro_x", "gyro_y", "gyro_z"),
-        places=("xgyro", "ygyro", "zgyro"),
-        later=-1.1e-3,
-        when="imu_new",
-    ),
-    Topic(
-        name="tof.distance",
-        mat="dist",
-        fields=(),
-        unit="m",
-        rate_hz=18.35,
-        # DISTANCE_SENSOR counts whole centimetres, more than twice the sensor's 4 mm noise.
-        mavlink="TWODOF_TOF",
-        ros="/mavros/distance_sensor/tof",
-        text="time-of-flight range; x = dist - 0.50",
-        source=("dist",),
-        places=("distance",),
-        later=-1.0e-3,
-        when="dist_new",
-    ),
-    Topic(
-        name="estimate.theta",
-        mat="theta",
-        fields=(),
-        unit="rad",
-        rate_hz=250.0,
-        mavlink="ATTITUDE",
-        ros="/mavros/imu/data",
-        text="estimated pitch",
-        source=("theta",),
-        places=("pitch",),
-        later=0.33e-3,
-    ),
-    Topic(
-        name="estimate.q",
-        mat="q",
-        fields=(),
-        unit="rad/s",
-        rate_hz=250.0,
-        mavlink="ATTITUDE",
-        ros="/mavros/imu/data",
-        text="estimated pitch rate",
-        source=("q",),
-        places=("pitchspeed",),
-        later=-Q_AGE,
-    ),
-    Topic(
-        name="estimate.x",
-        mat="x",
-        fields=(),
-        unit="m",
-        rate_hz=100.0,
-        mavlink="LOCAL_POSITION_NED",
-        ros="/mavros/local_position/odom",
-        text="estimated position along the rail",
-        source=("x",),
-        places=("x",),
-        later=1.3e-3,
-        when="published",
-    ),
-    Topic(
-        name="estimate.v",
-        mat="v",
-        fields=(),
-        unit="m/s",
-        rate_hz=100.0,
-        mavlink="LOCAL_POSITION_NED",
-        ros="/mavros/local_position/odom",
-        text="estimated velocity along the rail",
-        source=("v",),
-        places=("vx",),
-        later=1.3e-3,
-        when="published",
-    ),
-    Topic(
-        name="setpoint.theta",
-        mat="theta0",
-        fields=(),
-        unit="rad",
-        rate_hz=250.0,
-        mavlink="ATTITUDE_TARGET",
-        ros="/mavros/setpoint_raw/target_attitude",
-        text="pitch set-point in use",
-        source=("theta0",),
-        places=("pitch(q)",),
-        later=5e-6,
-    ),
-    Topic(
-        name="setpoint.q",
-        mat="q0",
-        fields=(),
-        unit="rad/s",
-        rate_hz=250.0,
-        mavlink="ATTITUDE_TARGET",
-        ros="/mavros/setpoint_raw/target_attitude",
-        text="pitch-rate set-point in use",
-        source=("q0",),
-        places=("body_pitch_rate",),
-        later=3e-6,
-    ),
-    Topic(
-        name="setpoint.x",
-        mat="x0",
-        fields=(),
-        unit="m",
-        rate_hz=250.0,
-        mavlink="POSITION_TARGET_LOCAL_NED",
-        ros="/mavros/setpoint_raw/target_local",
-        text="position set-point in use",
-        source=("x0",),
-        places=("x",),
-        later=9e-6,
-    ),
-    Topic(
-        name="setpoint.v",
-        mat="v0",
-        fields=(),
-        unit="m/s",
-        rate_hz=250.0,
-        mavlink="POSITION_TARGET_LOCAL_NED",
-        ros="/mavros/setpoint_raw/target_local",
-        text="velocity set-point in use",
-        source=("v0",),
-        places=("vx",),
-        later=7e-6,
-    ),
-    Topic(
-        name="setpoint.thrust",
-        mat="thrust0",
-        fields=(),
-        unit="-",
-        rate_hz=250.0,
-        mavlink="ATTITUDE_TARGET",
-        ros="/mavros/setpoint_raw/target_attitude",
-        text="thrust asked for, negative up",
-        source=("-|T|",),
-        places=("-thrust",),
-        later=13e-6,
-    ),
-    Topic(
-        name="command.M",
-        mat="M",
-        fields=(),
-        unit="-",
-        rate_hz=250.0,
-        mavlink="ACTUATOR_CONTROL_TARGET",
-        ros="/mavros/target_actuator_control",
-        text="normalised pitch moment, within [-1, 1]",
-        source=("M",),
-        places=("controls[1]",),
-    ),
-    Topic(
-        name="command.T",
-        mat="T",
-        fields=(),
-        unit="-",
-        rate_hz=250.0,
-        mavlink="ACTUATOR_CONTROL_TARGET",
-        ros="/mavros/target_actuator_control",
-        text="normalised thrust applied",
-        source=("T",),
-        places=("controls[3]",),
-        later=11e-6,
-    ),
-    Topic(
-        name="openloop",
-        mat="lmnf",
-        fields=_OPENLOOP,
-        unit="-",
-        rate_hz=0.0,
-        mavlink="TWODOF_OPENLOOP",
-        ros="/twodof/openloop",
-        text="open-loop excitation message",
-        source=_OPENLOOP,
-        places=_OPENLOOP,
-        later=-1.5e-3,
-    ),
-    Topic(
-        name="state.mode",
-        mat="mode",
-        fields=(),
-        unit="-",
-        rate_hz=250.0,
-        mavlink="HEARTBEAT",
-        ros="/mavros/state",
-        text="index into MODES",
-        source=("mode",),
-        later=15e-6,
-    ),
-    Topic(
-        name="battery.voltage",
-        mat="voltage",
-        fields=(),
-        unit="V",
-        rate_hz=2.0,
-        mavlink="BATTERY_STATUS",
-        ros="/mavros/battery",
-        text="terminal voltage",
-        source=("voltage",),
-        places=("volts(voltages)",),
-    ),
-    Topic(
-        name="battery.charge",
-        mat="charge",
-        fields=(),
-        unit="-",
-        rate_hz=2.0,
-        mavlink="BATTERY_STATUS",
-        ros="/mavros/battery",
-        text="0 empty, 1 full",
-        source=("charge",),
-        places=("share(battery_remaining)",),
-    ),
-    Topic(
-        name="truth.theta",
-        mat="theta_true",
-        fields=(),
-        unit="rad",
-        rate_hz=250.0,
-        mavlink="TWODOF_TRUTH",
-        ros="/twodof/truth",
-        text="pitch of the virtual rig",
-        places=("theta",),
-        onboard=False,
-    ),
-    Topic(
-        name="truth.q",
-        mat="q_true",
-        fields=(),
-        unit="rad/s",
-        rate_hz=250.0,
-        mavlink="TWODOF_TRUTH",
-        ros="/twodof/truth",
-        text="pitch rate of the virtual rig",
-        places=("q",),
-        onboard=False,
-    ),
-    Topic(
-        name="truth.x",
-        mat="x_true",
-        fields=(),
-        unit="m",
-        rate_hz=250.0,
-        mavlink="TWODOF_TRUTH",
-        ros="/twodof/truth",
-        text="position of the virtual rig",
-        places=("x",),
-        onboard=False,
-    ),
-    Topic(
-        name="truth.v",
-        mat="v_true",
-        fields=(),
-        unit="m/s",
-        rate_hz=250.0,
-        mavlink="TWODOF_TRUTH",
-        ros="/twodof/truth",
-        text="velocity of the virtual rig",
-        places=("v",),
-        onboard=False,
-    ),
-)
+    Topic("imu.acc", "acc", "m/s^2", "specific force, body axes", "HIGHRES_IMU",
+          ("acc_x", "acc_y", "acc_z"), ("xacc", "yacc", "zacc"), -1.1e-3, "imu_new", fields=_XYZ),
+    Topic("imu.gyro", "gyr", "rad/s", "angular rate, body axes", "HIGHRES_IMU",
+          ("gyro_x", "gyro_y", "gyro_z"), ("xgyro", "ygyro", "zgyro"), -1.1e-3, "imu_new", fields=_XYZ),
+    # DISTANCE_SENSOR counts whole centimetres, more than twice the sensor's 4 mm noise.
+    Topic("tof.distance", "dist", "m", "time-of-flight range; x = dist - 0.50", "TWODOF_TOF",
+          ("dist",), ("distance",), -1.0e-3, "dist_new", rate_hz=18.35),
+    Topic("estimate.theta", "theta", "rad", "estimated pitch", "ATTITUDE", ("theta",), ("pitch",), 0.33e-3),
+    Topic("estimate.q", "q", "rad/s", "estimated pitch rate", "ATTITUDE", ("q",), ("pitchspeed",), -Q_AGE),
+    Topic("estimate.x", "x", "m", "estimated position along the rail", "LOCAL_POSITION_NED",
+          ("x",), ("x",), 1.3e-3, "published", rate_hz=100.0),
+    Topic("estimate.v", "v", "m/s", "estimated velocity along the rail", "LOCAL_POSITION_NED",
+          ("v",), ("vx",), 1.3e-3, "published", rate_hz=100.0),
+    Topic("setpoint.theta", "theta0", "rad", "pitch set-point in use", "ATTITUDE_TARGET",
+          ("theta0",), ("pitch(q)",), 5e-6),
+    Topic("setpoint.q", "q0", "rad/s", "pitch-rate set-point in use", "ATTITUDE_TARGET",
+          ("q0",), ("body_pitch_rate",), 3e-6),
+    Topic("setpoint.x", "x0", "m", "position set-point in use", "POSITION_TARGET_LOCAL_NED", ("x0",), ("x",), 9e-6),
+    Topic("setpoint.v", "v0", "m/s", "velocity set-point in use", "POSITION_TARGET_LOCAL_NED", ("v0",), ("vx",), 7e-6),
+    Topic("setpoint.thrust", "thrust0", "-", "thrust asked for, negative up", "ATTITUDE_TARGET",
+          ("-|T|",), ("-thrust",), 13e-6),
+    Topic("command.M", "M", "-", "normalised pitch moment, within [-1, 1]", "ACTUATOR_CONTROL_TARGET",
+          ("M",), ("controls[1]",)),
+    Topic("command.T", "T", "-", "normalised thrust applied", "ACTUATOR_CONTROL_TARGET",
+          ("T",), ("controls[3]",), 11e-6),
+    Topic("openloop", "lmnf", "-", "open-loop excitation message", "TWODOF_OPENLOOP",
+          _OPENLOOP, _OPENLOOP, -1.5e-3, fields=_OPENLOOP, rate_hz=0.0),
+    Topic("state.mode", "mode", "-", "index into MODES", "HEARTBEAT", ("mode",), later=15e-6),
+    Topic("battery.voltage", "voltage", "V", "terminal voltage", "BATTERY_STATUS",
+          ("voltage",), ("volts(voltages)",), rate_hz=2.0),
+    Topic("battery.charge", "charge", "-", "0 empty, 1 full", "BATTERY_STATUS",
+          ("charge",), ("share(battery_remaining)",), rate_hz=2.0),
+    Topic("truth.theta", "theta_true", "rad", "pitch of the virtual rig", "TWODOF_TRUTH",
+          places=("theta",), onboard=False),
+    Topic("truth.q", "q_true", "rad/s", "pitch rate of the virtual rig", "TWODOF_TRUTH", places=("q",), onboard=False),
+    Topic("truth.x", "x_true", "m", "position of the virtual rig", "TWODOF_TRUTH", places=("x",), onboard=False),
+    Topic("truth.v", "v_true", "m/s", "velocity of the virtual rig", "TWODOF_TRUTH", places=("v",), onboard=False),
+)  # fmt: skip
 
 BY_NAME = MappingProxyType({row.name: row for row in TOPICS})
 BY_MAT = MappingProxyType({row.mat: row for row in TOPICS})
