@@ -80,25 +80,32 @@ def test_log_without_loops_is_described() -> None:
         excitations(FlightLog({"T": Channel([0.0], [1.0])}))
 
 
-def test_failsafe_moments_are_not_part_of_a_doublet() -> None:
+@pytest.mark.parametrize("after", ["open-loop", "attitude"])
+def test_moments_that_level_the_drone_are_not_part_of_a_doublet(after: str) -> None:
+    """Neither those of the failsafe nor those of the loop that is closed before the drone is disarmed."""
     tick = 10.0 + PERIOD * np.arange(500)
     moment = Doublet(0.03, 0.6, lead=0.2).at(tick - 10.0)
-    acts = tick >= 11.2
-    moment[acts] = 0.8 + 0.01 * np.arange(acts.sum())
-    message = np.column_stack([moment, np.full(500, 0.4), np.ones((500, 3))])
+    levelled = tick >= 11.2
+    moment[levelled] = 0.8 + 0.01 * np.arange(levelled.sum())
+    mode = np.where(levelled, MODES.index(after), MODES.index("open-loop"))
+    acts = levelled & (after == "open-loop")
+    is_open = mode == MODES.index("open-loop")
+    message = np.column_stack([moment, np.full(500, 0.4), is_open, np.ones((500, 2))])
     log = FlightLog(
         {
             # M and its message are stamped a little before the other words of their step.
             "lmnf": channel("lmnf", tick - 0.0015, message),
-            "mode": channel("mode", tick, np.full(500, MODES.index("open-loop"))),
+            "mode": channel("mode", tick, mode),
             "safety": Channel(tick, np.column_stack([acts, 4 * acts, 4 * acts]).astype(float), "", SAFETY, "safety"),
             **{name: channel(name, tick, np.full(500, 0.4)) for name in ("T", "q0", "theta0")},
+            "M": channel("M", tick, moment),
         }
     )
     (found,) = excitations(log)
     assert found.name == "open-loop-doublet"
     assert found.edges == pytest.approx((10.2, 10.5, 10.8), abs=SAMPLE)
     assert found.window[1] == pytest.approx(11.2, abs=SAMPLE)
+    assert log["M"].slice(*found.window).value.max() < 0.031
 
 
 def test_failsafe_set_points_are_no_steps() -> None:
