@@ -164,6 +164,24 @@ def test_vectors_are_joined_split_and_expanded(tmp_path: Path) -> None:
     assert np.array_equal(flown(found, {"u": u, "k": DRAWN[0]})["y"], np.c_[2 * scaled[:, 0], scaled[:, 1]])
 
 
+def test_elements_of_vectors_are_chosen_and_joined_one_by_one(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double", "PortDimensions": "3"}),
+        ("Gain", "twice", {"Gain": "2", "Multiplication": "Matrix(K*u)"}),
+        ("Constant", "none", {"Value": "[7 8 9]"}),
+        ("Switch", "chosen", {"Criteria": "u2 > Threshold", "Threshold": ".5"}),
+        ("CompareToConstant", "large", {"relop": ">", "const": "[1 2 3]"}),
+        ("Logic", "any", {"Operator": "OR", "Inputs": "1"}),
+        ("Outport", "y", {}),
+        ("Outport", "some", {"Port": "2"}),
+    ]
+    lines = [("u", "twice"), ("twice", "chosen:1"), ("u", "chosen:2"), ("none", "chosen:3"), ("chosen", "y"),
+             ("u", "large"), ("large", "any"), ("any", "some")]  # fmt: skip
+    found = flown(import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT), {"u": DRAWN.T})
+    assert np.array_equal(found["y"], np.where(DRAWN.T > 0.5, 2.0 * DRAWN.T, [7.0, 8.0, 9.0]))
+    assert np.array_equal(found["some"], (DRAWN.T > [1.0, 2.0, 3.0]).any(axis=1))
+
+
 def test_a_loop_is_broken_at_its_delay_and_goto_leads_to_from(tmp_path: Path) -> None:
     blocks = [
         ("Inport", "u", {"OutDataTypeStr": "double"}),
@@ -411,14 +429,23 @@ def test_links_stand_for_blocks_of_libraries_that_link_on_and_for_subsystems_of_
     files = {
         "threefold": ("Subsystem", inside),
         "halves": ("Library", model([("Gain", "half", {"Gain": ".5"})], [])),
-        "linking": ("Library", model([("Reference", "mine", {"SourceBlock": "halves/half"})], [])),
+        "linking": (
+            "Library",
+            model(
+                [
+                    ("Reference", "mine", {"SourceBlock": "halves/half"}),
+                    ("Reference", "again", {"SourceBlock": "$bdroot/mine"}),
+                ],
+                [],
+            ),
+        ),
     }
     for name, (kind, parts) in files.items():
         text = parts["simulink/blockdiagram.xml"].replace("<Model>", f"<{kind}>").replace("</Model>", f"</{kind}>")
         slx({"simulink/blockdiagram.xml": text}, tmp_path / f"{name}.slx")
     blocks = [
         ("Inport", "u", {"OutDataTypeStr": "double"}),
-        ("Reference", "linked", {"SourceBlock": "linking/mine"}),
+        ("Reference", "linked", {"SourceBlock": "linking/again"}),
         ("SubSystem", "three", {"ReferencedSubsystem": "threefold"}),
         ("Outport", "y", {}),
     ]

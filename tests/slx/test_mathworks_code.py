@@ -1,19 +1,26 @@
-"""A controller of a public repository beside the C that MathWorks' coder made of it.
+"""Controllers of public repositories beside the C that MathWorks' coder made of them.
 
-TWODOF_SLX_REPOS names a folder of checkouts, OWNER+NAME, of which nothing is kept here:
-JakubRichardson/IGDP-DroneProj at f54bdc9. The model and its C must have the same version.
+TWODOF_SLX_REPOS names a folder of checkouts, OWNER+NAME, of which nothing is kept here: JakubRichardson/IGDP-DroneProj
+at f54bdc9, Firmament-Autopilot/FMT-Model and FMT-Firmware with their history. A model and its C must have one version.
 """
 
 import os
 import re
 import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.computing.simulink_controller import GENERATED, MODEL, STATES, flight_controller
+from tests.slx.generated_c import built, drawn, leaves, value
 from twodof.compile import build
+from twodof.slx.importer import Imported, import_system
+from twodof.slx.matlab.evaluation import read_workspace
+from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 
 REPOS = os.environ.get("TWODOF_SLX_REPOS", "")
@@ -115,3 +122,98 @@ def test_sines_of_the_yaw_stay_within_two_units_in_the_last_place(tmp_path: Path
     unit = np.spacing(np.abs(wanted).max(axis=0))
     assert (np.abs(found - wanted).max(axis=0) <= 2.0 * unit).all()
     assert 0.2 < inputs[:, 0].mean() < 0.8
+
+
+# --- controllers of the Firmament autopilot: buses, single precision, variants, enabled and reset parts, whole numbers
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A controller of FMT-Model, and the C of its version in FMT-Firmware: commits, version, period [s]."""
+
+    name: str
+    model: str
+    code: str
+    version: str
+    period: float = 0.002
+
+
+PAIRS = [
+    Pair("ADRC", "f09f371", "19dd53b", "1.976"),
+    Pair("Boat", "f09f371", "19dd53b", "1.1188", 0.01),
+    Pair("Car", "f09f371", "19dd53b", "1.1151", 0.01),
+    Pair("FW", "f09f371", "19dd53b", "1.1112"),
+    Pair("MC", "f09f371", "3b6e900", "1.1001"),
+    Pair("Submarine", "f09f371", "19dd53b", "1.1007"),
+]
+SPANS = {"reset": (0, 2), "ctrl_mode": (0, 9), "status": (0, 4), "state": (0, 4)}
+"""Whole numbers of inputs that mean something, from the first to before the last."""
+FILES = ("Controller.c", "Controller_data.c")
+
+
+def taken(repository: str, commit: str, folder: str, made: Path) -> Path:
+    """Take a folder of a commit out of a checkout."""
+    made.mkdir(exist_ok=True)
+    kept = subprocess.run(
+        ["git", "-C", str(Path(REPOS) / repository), "archive", commit, folder], stdout=subprocess.PIPE, check=True
+    )
+    subprocess.run(["tar", "-x", "-C", str(made)], input=kept.stdout, check=True)
+    return made / folder
+
+
+def controller(one: Pair, made: Path) -> Imported:
+    """Import a controller with its buses and parameters."""
+    repository = "Firmament-Autopilot+FMT-Model"
+    buses, library = (taken(repository, one.model, name, made) for name in ("bus", "lib"))
+    folder = taken(repository, one.model, f"model/Controller/{one.name}-Controller", made)
+    names: dict[str, Value] = {}
+    for script in (*sorted(buses.glob("*.m")), folder / "controller_model_init.m"):
+        read_workspace(script, names)
+    model = read_model(folder / "Controller.slx")
+    assert model.version == one.version
+    return import_system(model, "", names, [folder, library, buses / "enum"], one.period)
+
+
+@pytest.mark.parametrize("one", PAIRS, ids=[one.name for one in PAIRS])
+def test_a_controller_of_firmament_has_the_bits_of_mathworks_c(tmp_path: Path, one: Pair) -> None:
+    """2,000 steps of outputs and of all states that have one here."""
+    folder = f"src/model/control/{one.name.lower()}_controller/lib"
+    folder = taken("Firmament-Autopilot+FMT-Firmware", one.code, folder, tmp_path / "c")
+    assert re.search(rf"Model version\s*: {one.version}$", (folder / FILES[0]).read_text("utf-8"), re.MULTILINE)
+    code = built(folder, [name for name in FILES if (folder / name).exists()], tmp_path, single=True)
+    inputs, outputs, memory = (code.at(f"{kind}_Controller_T", f"Controller_{kind.removeprefix('Ext')}")
+                               for kind in ("ExtU", "ExtY", "DW"))  # fmt: skip
+    found = controller(one, tmp_path)
+    assert found.diagram is not None, found.refused
+    program = build(found.diagram, dt=found.dt, precision="float32")
+    states = code.states("DW_Controller_T", {path: state.width or 1 for path, (state, _) in program.states.items()})
+    assert len(states) >= 4
+    draw, machine = np.random.default_rng(7), program.machine()
+    columns = [
+        (path, holder, name, drawn(kind, count, STEPS, SPANS.get(name, (0, 2**16)), draw), count)
+        for path, holder, name, kind, count in leaves(inputs)
+        if path in machine.inputs
+    ]
+    code.library.Controller_init()
+    wanted, given = [], []
+    for k in range(STEPS):
+        for _, holder, name, column, count in columns:
+            setattr(holder, name, (type(getattr(holder, name))(*column[k].tolist()) if count > 1 else column[k].item()))
+        code.library.Controller_step()
+        ours = machine.step({path: column[k].tolist() if count > 1 else column[k].item()
+                             for path, _, _, column, count in columns})  # fmt: skip
+        theirs = {path: value(holder, name) for path, holder, name, _, _ in leaves(outputs)}
+        theirs |= {state: value(memory, member) for member, state in states.items()}
+        wanted.append(np.concatenate(list(theirs.values())))
+        kept = {state: machine.state(state) for state in states.values()}
+        given.append(np.concatenate([np.ravel({**flat(ours), **kept}[path]).astype(float) for path in theirs]))
+    assert np.array_equal(given, wanted)
+    assert (np.ptp(wanted, axis=0) > 0.0).sum() > len(states)
+
+
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The fields of buses by path."""
+    found: dict[str, Any] = {}
+    for name, one in values.items():
+        found |= flat(one, f"{prefix}{name}.") if isinstance(one, Mapping) else {f"{prefix}{name}": one}
+    return found

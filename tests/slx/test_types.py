@@ -1,13 +1,16 @@
 """Data types of Simulink: buses, dictionaries, integers; values by hand from Simulink's documented rules."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.slx.files import model, slx
 from tests.slx.test_import import DRAWN, DT, flown
+from twodof.blocks.bus import Bus
 from twodof.errors import DiagramError
+from twodof.slx.data_types import kind_of
 from twodof.slx.dictionary import dictionary
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
@@ -232,6 +235,27 @@ def test_a_function_gives_the_buses_that_it_assigns_in_the_workspace(tmp_path: P
     assert [one.line for one in run("\nfunction define\nx = 1;\ny = load('a');", names)] == [4]
 
 
+def test_a_saved_cell_array_gives_its_buses() -> None:
+    code = """function cells = define(varargin)
+    quiet = false;
+    if nargin == 1, quiet = true; end
+    cells = {{'Out', '', '', 'Auto', '-1', { ...
+      {'stamp', 1, 'uint32', -1, 'real', 'Sample', 'Fixed', [], [], sprintf('ms'), ''}; ...
+      {'speed', [3 1], 'single', -1, 'real', 'Sample', 'Fixed', [], [], '', ''} ...
+    }}}';
+    if ~quiet
+      Simulink.Bus.cellToObject(cells)
+    end
+    end"""
+    names: dict[str, Any] = {}
+    assert run(code, names) == []
+    (kind,) = [kind_of(f"Bus: {name}", names) for name in names]
+    assert isinstance(kind, Bus)
+    assert [(port.name, port.kind, port.width) for port in kind.fields] == [
+        ("stamp", "uint32", None), ("speed", "real", 3)
+    ]  # fmt: skip
+
+
 # --- whole numbers
 
 INT8 = np.arange(-128, 128, dtype=np.int64).repeat(2)[:200]
@@ -300,6 +324,10 @@ def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
          (np.where(INT8 > 9, np.nan, 1.0),), INT8 > 9),
         (("CompareToConstant", {"relop": ">", "const": "7", "OutDataTypeStr": "uint8"}), ("uint8",), (INT8 + 128,),
          INT8 + 128 > 7),
+        (("CompareToConstant", {"relop": "==", "const": "[2 5]"}), ("uint8",), (INT8 + 128,),
+         (INT8 + 128)[:, None] == [2, 5]),
+        (("DiscreteIntegrator", {"IntegratorMethod": "Accumulation: Forward Euler", "InitialCondition": "7"}),
+         ("uint32",), ((INT8 + 128) << 24,), wrapped(7 + np.r_[0, np.cumsum((INT8 + 128) << 24)[:-1]], "uint32")),
         (("Bitwise Operator", {"logicop": "XOR", "BitMask": "85"}), ("uint8",), (INT8 + 128,), (INT8 + 128) ^ 85),
         (("Bitwise Operator", {"logicop": "NOT", "UseBitMask": "off"}), ("uint16",), (INT8 + 128,), 65407 - INT8),
         (("Bitwise Operator", {"logicop": "NAND", "UseBitMask": "off"}), ("int8", "int8"), (INT8, OTHER),
@@ -345,6 +373,7 @@ def test_each_rounding_goes_where_simulink_says(tmp_path: Path, rounding: str, w
         (("Sum", {"OutDataTypeStr": "Inherit: Inherit via internal rule"}), ("int8", "int16"), "of int16 and int8"),
         (("Sum", {"OutDataTypeStr": "fixdt(1,16,11)"}), ("double", "double"), "the data type 'fixdt(1,16,11)'"),
         (("CompareToConstant", {"const": "2.5"}), ("uint8",), "a comparison of uint8 with 2.5"),
+        (("DiscreteIntegrator", {}), ("uint32",), "IntegratorMethod = 'Integration: Forward Euler'"),
     ],
 )
 def test_what_the_file_does_not_say_is_refused(tmp_path: Path, block: tuple, kinds: tuple[str, ...], said: str) -> None:

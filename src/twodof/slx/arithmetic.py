@@ -8,18 +8,21 @@ Source: Simulink reference, blocks Sum, Product, Gain, Data Type Conversion, Shi
 import math
 import operator
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial, reduce
 from typing import Any
 
+from twodof.blocks import Diagram
+from twodof.blocks.block import Block
 from twodof.blocks.elementary.functions import ceil, floor, round_half_away, round_half_even, trunc
 from twodof.blocks.elementwise import clamp
 from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, where
 from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, STORED, WORDS
-from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Maximum, Minimum, Saturation
+from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Constant, Maximum, Minimum, Saturation
 from twodof.slx.composite_blocks import formula
 from twodof.slx.data_types import kind_of
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, passes, same
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
 
 ROUNDING: Mapping[str, Callable[[Any], Any]] = {
     "Floor": floor,
@@ -196,17 +199,31 @@ def _relational(c: Asked) -> Made:
     return _truth(c, _OPERATIONS[COMPARED[name]], block)
 
 
-def _compare_to(value: Callable[[Asked], float]) -> Rule:
-    def made(c: Asked) -> Made:
-        kind, wanted = c.inputs[0].number, value(c)
-        operation = c.pick("relop", "<=", dict(COMPARED))
-        if kind != "real" and not wanted.is_integer():
-            raise NotTranslated(f"a comparison of {c.inputs[0]} with {wanted:g} is not translated")
-        library = kind in ("real", *WORDS)
-        block = (lambda: CompareToConstant(operation, wanted, kind, c.width)) if library else None
-        return _truth(c, lambda u: _OPERATIONS[operation](u, wanted), block)
+def _compare_to(c: Asked, wanted: float) -> Made:
+    kind, operation = c.inputs[0].number, c.pick("relop", "<=", dict(COMPARED))
+    if kind != "real" and not wanted.is_integer():
+        raise NotTranslated(f"a comparison of {c.inputs[0]} with {wanted:g} is not translated")
+    library = kind in ("real", *WORDS)
+    block = (lambda: CompareToConstant(operation, wanted, kind, c.width)) if library else None
+    return _truth(c, lambda u: _OPERATIONS[operation](u, wanted), block)
 
-    return made
+
+def _compare_to_constant(c: Asked) -> Made:
+    """Compare with a number, or each element with its own one."""
+    wanted, one = c.value("const", "3.0"), c.inputs[0]
+    if wanted.size == 1:
+        return _compare_to(c, float(wanted.flat[0]))
+    both = Signal(one.number, wanted.size)
+    item = _relational(replace(c, values={**c.values, "Operator": c.text("relop", "<=")}, inputs=[both, both])).item
+    if not isinstance(item, Block):
+        raise NotTranslated(f"const of {wanted.size} elements is not translated")
+    d = Diagram("compared")
+    d.input("u", one.kind, one.width)
+    d.add("const", Constant([plain(v, one.kind) for v in wanted.flatten()], one.kind, wanted.size))
+    sources = (expanded(d, "u", one, wanted.size), "const")
+    d.add("y", item, inputs={port.name: source for port, source in zip(item.inputs, sources, strict=True)})
+    d.output("y", "y")
+    return Made(d, [Signal("bool", wanted.size)], expand=False)
 
 
 # --- bits
@@ -244,8 +261,8 @@ ARITHMETIC_RULES: dict[str, Rule] = {
     "ArithShift": _shift,
     "Bias": _bias,
     "Bitwise Operator": _bits,
-    **dict.fromkeys(("CompareToConstant", "Compare To Constant"), _compare_to(lambda c: c.scalar("const", "3.0"))),
-    **dict.fromkeys(("CompareToZero", "Compare To Zero"), _compare_to(lambda c: 0.0)),
+    **dict.fromkeys(("CompareToConstant", "Compare To Constant"), _compare_to_constant),
+    **dict.fromkeys(("CompareToZero", "Compare To Zero"), lambda c: _compare_to(c, 0.0)),
     "DataTypeConversion": _convert,
     "MinMax": _min_max,
     "RelationalOperator": _relational,

@@ -14,6 +14,7 @@ from typing import Any
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.elementwise import port_series
+from twodof.blocks.expressions.expr import convert, where
 from twodof.blocks.expressions.numbers import INTEGERS, KINDS, STORED
 from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.blocks.library import (
@@ -75,7 +76,7 @@ def _gain(c: Asked) -> Made:
     if gain.size == 1 and (made := whole_gain(c, float(gain.flat[0]))) is not None:
         return made
     c.kind("real")
-    if gain.size == 1 and (mode.startswith("Element") or c.width is None):
+    if gain.size == 1:
         return same(c, Gain(float(gain.flat[0]), c.width))
     if mode.startswith("Element"):
         if 1 not in gain.shape or c.width not in (None, gain.size):
@@ -196,13 +197,18 @@ def _switch(c: Asked) -> Made:
     first, control, third = c.inputs
     mixed = {first.kind, third.kind} == {"real", "bool"}  # the boolean becomes 0 or 1
     alike = mixed or replace(first, width=None).like(replace(third, width=None))
-    if not alike or control.width is not None or isinstance(control.kind, Bus):
+    if not alike or isinstance(control.kind, Bus) or (control.width is not None and mixed):
         raise NotTranslated(f"its inputs are {first} and {third}, and the control {control}")
-    c.inputs = [first, third]
-    width, kind = c.width, "real" if mixed else first.kind
     criterion = c.needs("Criteria", "u2 >= Threshold", "u2 >= Threshold", "u2 > Threshold", "u2 ~= 0")
     operation = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
     threshold = 0.0 if criterion == "u2 ~= 0" else c.scalar("Threshold", "0")
+    if control.width is not None:  # each element has its own
+        exact = "real" if control.kind == "real" else "float64"
+        return formula(
+            c, lambda t, a, u, b: where(COMPARISONS[operation](convert(u, exact), threshold), a, b), first.number
+        )
+    c.inputs = [first, third]
+    width, kind = c.width, "real" if mixed else first.kind
     d = Diagram("switch")
     d.input("u1", first.kind, first.width)
     condition = d.input("u2", control.kind)
@@ -270,6 +276,14 @@ def _logic(c: Asked) -> Made:
     name = c.text("Operator", c.text("Function", "AND")).lower()
     if name not in ("and", "or", "xor", "nand", "nor", "not"):
         raise NotTranslated(f"Operator = {name!r} is not translated")
+    if len(c.inputs) == 1 and c.width is not None and name != "not":  # of the elements of one vector
+        one = c.inputs[0]
+        of = _logic(replace(c, inputs=[replace(one, width=None)] * c.width)).item or Logic(name, c.width)
+        d = Diagram("logic")
+        d.add("each", Demux(c.width, one.number), u=d.input("u", one.kind, one.width))
+        d.add("y", of, inputs={port: f"each.{port}" for port in port_series(c.width)})
+        d.output("y", "y")
+        return Made(d, [Signal("bool")])
     logic, output = Logic(name, len(c.inputs), c.width), Signal("bool", c.width)
     if all(one.kind == "bool" for one in c.inputs):
         return Made(logic, [output])
@@ -343,7 +357,7 @@ TAKES_BUSES = (
 )
 TAKES_SMALL = (
     *(*TAKES_BUSES, *ARITHMETIC_RULES, "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
-    *("Assignment", "Gain", "Logic", "Product", "Reshape", "Sum", "SwitchCase", "UnaryMinus"),
+    *("Assignment", "DiscreteIntegrator", "Gain", "Logic", "Product", "Reshape", "Sum", "SwitchCase", "UnaryMinus"),
 )
 """Types that take integers of 8 and 16 bits."""
 TAKES_MATRICES = ("BusAssignment", "BusCreator", *MATRIX_LINES, *DROPPED)

@@ -16,6 +16,7 @@ from twodof.blocks.action_group import resettable_integrator
 from twodof.blocks.bus import Bus
 from twodof.blocks.elementary.functions import floor
 from twodof.blocks.expressions.expr import where
+from twodof.blocks.expressions.numbers import WORDS
 from twodof.blocks.library import (
     Constant,
     Delay,
@@ -82,6 +83,8 @@ def _discrete_integrator(c: Asked) -> Made:
     if method[2] != "Forward Euler" and c.text("InitialConditionSetting", "Auto") == "Output":
         raise NotTranslated("InitialConditionSetting = 'Output' is not translated")
     gain, scale = c.scalar("gainval", "1.0"), 1.0
+    if c.inputs[0].kind in WORDS:
+        return _whole_accumulator(c, gain)
     if method[0] == "Accumulation":  # the input is scaled, and the gain undoes the period
         near = 1.0 / c.dt
         undoing = [one for one in (near, *np.nextafter(near, [0.0, np.inf]).tolist()) if one * c.dt == 1.0]
@@ -93,6 +96,22 @@ def _discrete_integrator(c: Asked) -> Made:
         return DiscreteIntegrator(rules[method[2]], gain, initial, limits, reset, width)
 
     return _integral(c, integrator, scale)
+
+
+def _whole_accumulator(c: Asked, gain: float) -> Made:
+    """Return the sum of whole numbers so far, which wraps around."""
+    c.needs("IntegratorMethod", "Integration: Forward Euler", "Accumulation: Forward Euler")
+    for name, only in (("ExternalReset", "none"), ("InitialConditionSource", "internal"), ("LimitOutput", "off")):
+        c.needs(name, only, only)
+    if gain != 1.0:
+        raise NotTranslated(f"gainval = {gain:g} of whole numbers is not translated")
+    initial, signal = _initial(c, "InitialCondition")
+    d = Diagram("accumulator")
+    d.input("u", signal.kind, signal.width)
+    d.add("sum", Sum("++", signal.number, signal.width), a="x", b="u")
+    d.add("x", UnitDelay(initial, signal.kind, signal.width), u="sum")
+    d.output("y", "x")
+    return Made(d, [signal])
 
 
 def _integral(c: Asked, integrator: Callable[[Any, Any, bool, int | None], Item], scale: float = 1.0) -> Made:

@@ -207,7 +207,12 @@ def read_model(path: str | Path) -> Model:
         remedy = "give a .slx or .mdl file; open a damaged one in Simulink and save it again"
         raise DiagramError(reason.what, reason.where, remedy) from reason
     charts = [SimulinkChart(*one) for one in plain.pop("charts")]
-    return Model(name=Path(path).stem, root=_system(plain.pop("root")), charts=charts, **plain)
+    model = Model(name=Path(path).stem, root=_system(plain.pop("root")), charts=charts, **plain)
+    for _, block in model.blocks():  # a link of a library into itself
+        source = block.values.get("SourceBlock", "")
+        if source.startswith("$bdroot/"):
+            block.values["SourceBlock"] = source.replace("$bdroot", model.name, 1)
+    return model
 
 
 def _system(plain: Mapping[str, Any]) -> System:

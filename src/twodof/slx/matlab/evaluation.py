@@ -56,6 +56,7 @@ _TOKEN = re.compile(
 _HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
 _NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
 _ASSIGNED_IN = re.compile(r"assignin\(\s*'base'\s*,\s*'(\w+)'\s*,\s*(\w+)\s*\)")
+_CELLS_IN = re.compile(r"Simulink\.Bus\.cellToObject\((\w+)\)")
 _QUOTED = re.compile(r"'((?:[^'\n]|'')*)'")
 BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
 _BINARY = (("||",), ("&&",), ("|",), ("&",), ("<", "<=", ">", ">=", "==", "~=", "!="), (":",), ("+", "-"))
@@ -107,7 +108,9 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
         body = re.sub(r"^\s*end\s*\Z", "", _NEXT_FUNCTION.split(code[head.end() :])[0], flags=re.MULTILINE)
         lines = run("\n" * code[: head.end()].count("\n") + body, own)
         workspace.update({name: own[given] for name, given in _ASSIGNED_IN.findall(body) if given in own})
-        return [one for one in lines if one.why != "assignin is not computed"]
+        buses = {name: bus for cells in _CELLS_IN.findall(body) for name, bus in _buses(own.get(cells)).items()}
+        workspace.update(buses)
+        return [one for one in lines if one.why != "assignin is not computed" and not buses]
     skipped: list[Skipped] = []
     evaluation = Evaluation(workspace)
     try:
@@ -130,6 +133,17 @@ def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
             if tokens[start].text not in SILENT:
                 skipped.append(Skipped(line, str(reason)))
     return skipped
+
+
+def _buses(cells: Value) -> dict[str, Value]:
+    """Return the buses of a cell array as Simulink saves them: name, ..., and rows of name, dimensions, data type."""
+    keys = ("Name", "Dimensions", "DataType")
+    rows = [one for one in cells if isinstance(one, list) and one] if isinstance(cells, list) else []
+    return {
+        name: {"Elements": [dict(zip(keys, one, strict=False)) for one in elements if isinstance(one, list)]}
+        for name, *_, elements in rows
+        if isinstance(name, str) and isinstance(elements, list)
+    }
 
 
 def read_workspace(path: Path, names: MutableMapping[str, Value]) -> list[Skipped]:
@@ -465,7 +479,7 @@ class EvaluatingParser:
                 if self.here.spaced and self.matrix:
                     break
                 self.at += 1
-                value = as_array(value).T
+                value = value if isinstance(value, list) else as_array(value).T
                 continue
             self.at += 1
             signs = 0
