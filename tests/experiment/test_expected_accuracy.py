@@ -17,6 +17,7 @@ from twodof.identify.identified_flight import identify_flight
 from twodof.identify.ready_made import structure_for
 from twodof.rig.parameters import lab
 from twodof.rig.steady_state import model_parameters
+from twodof.signals import Q_AGE
 
 pytestmark = pytest.mark.slow
 
@@ -52,7 +53,11 @@ def test_the_bound_is_that_of_the_rigs_noise() -> None:
     plan = script(one, 0.0)
     log = flight_log(gusty.signals(one, plan, 0.0), np.asarray(plan.setpoints["mode"], dtype=np.int32), {})
     structure = structure_for("doublet")
+    rig, known = gusty.parameters, model_parameters(gusty.parameters)
     values = {name: row.value for name, row in structure.unknowns.items()}
+    values |= {"w_n": known["w_n_run"], "xi": known["xi_run"], "dead_time": rig["delay"] - Q_AGE, "lag": rig["lag"]}
+    values |= dict(zip(planned.information.labels, planned.information.values.tolist(), strict=True))
+    assert values["mu"] == pytest.approx(known["mu"], rel=0.05)  # of a charged battery, and of this drone
     whole = pitch_information(structure, planned.information.labels, values, cut(log, "doublet"), gusty.parameters)
     bound = np.sqrt(np.diag(np.linalg.inv(whole)))
     at = planned.information.labels.index("mu")
@@ -115,9 +120,8 @@ def test_a_flight_in_closed_loop_claims_what_was_planned() -> None:
     """
     even = lab()
     even.update({"gyro_line": 0.0})
-    known = {"mu": model_parameters(even)["mu"]}
     for name in ("attitude-steps", "attitude-prbs"):
-        planned = expected_accuracy(name, Laboratory(even, noise=0.0), known).to_json()["unknowns"]
+        planned = expected_accuracy(name, Laboratory(even, noise=0.0)).to_json()["unknowns"]
         rows = {row["name"]: row for row in planned}
         assert [one for one, row in rows.items() if row["wanted"]] == ["mu", "tau"]
         flown = identify_flight(Laboratory(even).fly(name).log).greybox

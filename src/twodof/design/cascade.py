@@ -1,4 +1,4 @@
-"""The cascade from the inside out: rate PID, attitude P, velocity PI, position P, each by its crossover."""
+"""The cascade of the pitch from the inside out, rate PID and attitude P: by crossover, or by weights."""
 
 import cmath
 import math
@@ -21,16 +21,13 @@ from twodof.design.structured_hinf import System, structured_hinf
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.models.lti import DelayedStateSpace
-from twodof.models.plant import PitchRate, Velocity
+from twodof.models.plant import PitchRate
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
 
 SEPARATION = 5.0
-"""Each outer loop crosses over at this part of the inner one's crossover."""
-
-LIFT = 0.4 * 6.3386
-"""T_bar eta_T of the platform's projection [N]: what a force along the rail is divided by."""
+"""The attitude loop crosses over at this part of the rate loop's crossover."""
 
 _THETA, _Q = 0, 1
 
@@ -55,7 +52,7 @@ class CascadeDesign:
         the rotors.
         """
         asked = asked or {"rate": max(1.0, gains.rate[0] * pitch.mu), "attitude": max(0.2, gains.attitude)}
-        loops, rate = CascadeLoops(pitch, None, lag), PidGains(*gains.rate)
+        loops, rate = CascadeLoops(pitch, lag), PidGains(*gains.rate)
         found = {
             "rate": _crossing(lambda w: loops.rate(rate, w), asked["rate"]),
             "attitude": _crossing(lambda w: gains.attitude * loops.theta_by_q0(rate, w), asked["attitude"]),
@@ -73,13 +70,11 @@ class CascadeDesign:
 
 
 class CascadeLoops:
-    """The loops of the cascade over `pitch` (a dead time is in it) and, with `velocity`, the cart."""
+    """The loops of the cascade over `pitch` (a dead time is in it) behind the rotors' `lag` [s]."""
 
-    def __init__(self, pitch: PitchRate, velocity: Velocity | None = None, lag: float = 0.0) -> None:
+    def __init__(self, pitch: PitchRate, lag: float = 0.0) -> None:
         plant = _with_lag(pitch, lag).zero_order_hold(PERIOD)
         self.theta, self.q = LoopTransfer.of(plant, to=_THETA), LoopTransfer.of(plant, to=_Q)
-        cart = None if velocity is None else velocity.state_space().zero_order_hold(PERIOD)
-        self.cart = None if cart is None else LoopTransfer.of(cart, to=1)
 
     def rate(self, gains: PidGains, omega: float) -> complex:
         """Return L of the rate loop at `omega` [rad/s]."""
@@ -90,29 +85,10 @@ class CascadeLoops:
         theta = complex((gains.response(omega) * self.theta.response(omega))[0])
         return theta / (1.0 + self.rate(gains, omega)) * cmath.exp(-1j * omega * PERIOD)
 
-    def theta_by_theta0(self, gains: PidGains, attitude: float, omega: float) -> complex:
-        """Return the response of theta itself to its set-point, both loops closed; `attitude` is the outer gain."""
-        around = attitude * self.theta_by_q0(gains, omega)
-        return around / (1.0 + around) * cmath.exp(1j * omega * PERIOD)
-
-    def v_by_force(self, gains: PidGains, attitude: float, omega: float) -> complex:
-        """Return the response of v to the force [N] that the velocity loop demands, for small angles."""
-        if self.cart is None:
-            raise ParameterError("there is no model of the cart", "cascade", "give the `velocity` model")
-        tilt = self.theta_by_theta0(gains, attitude, omega)
-        return -tilt / LIFT * complex(self.cart.response(omega)[0])
-
-    def x_by_v0(self, gains: PidGains, attitude: float, velocity: PidGains, omega: float) -> complex:
-        """Return the response of x to the set-point of v, the velocity loop closed."""
-        around = complex(velocity.response(omega)[0]) * self.v_by_force(gains, attitude, omega)
-        z = cmath.exp(1j * omega * PERIOD)
-        return around / (1.0 + around) * PERIOD * 0.5 * (z + 1.0) / (z - 1.0)
-
 
 def cascade_design(
     pitch: PitchRate,
     crossover: float,
-    velocity: Velocity | None = None,
     *,
     phase_margin: float | None = None,
     lag: float = 0.0,
@@ -122,35 +98,21 @@ def cascade_design(
     """Return gains of the cascade whose rate loop crosses over at `crossover` [rad/s].
 
     With `phase_margin` [rad] the rate PID meets both figures exactly; without, it is `shaped_pid`, whose margin
-    follows. The crossover of each outer loop is that of the loop inside it over `separation`: attitude P, velocity PI
-    (60 degrees) and position P. `lag` [s] is that of the rotors, in addition to the delay of `pitch`. Without the
-    `velocity` model the outer gains are those of `kept`. Raises ParameterError, with the name of the loop, if no gains
-    meet a figure, and for gains that the drone refuses.
+    follows. The attitude loop crosses over at `crossover` / `separation`. `lag` [s] is that of the rotors, in addition
+    to the delay of `pitch`. The gains of the loops along the rail are those of `kept`. Raises ParameterError if no
+    gains meet a figure, and for gains that the drone refuses.
     """
     if not 1.0 < separation < 1e3:
         raise ParameterError(f"a separation of {separation!r} is out of range", "cascade", "give 3 to 10; 5 is usual")
-    loops = CascadeLoops(pitch, velocity, lag)
+    loops = CascadeLoops(pitch, lag)
     if phase_margin is None:
         rate = shaped_pid(pitch.mu, crossover)
     else:
         rate = pid_at(complex(loops.q.response(crossover)[0]), crossover, phase_margin, "PID")
-    first, second, third = (crossover / separation**k for k in (1, 2, 3))
+    first = crossover / separation
     attitude = pid_at(loops.theta_by_q0(rate, first), first, form="P").kp
     gains = replace(kept, rate=(rate.kp, rate.ki, rate.kd), attitude=attitude)
-    found = CascadeDesign.of(pitch, gains, lag, {"rate": crossover, "attitude": first})
-    if velocity is None:
-        return found
-    pushed = loops.v_by_force(rate, attitude, second)
-    speed = pid_at(pushed, second, math.radians(60.0), "PI")
-    moved = loops.x_by_v0(rate, attitude, speed, third)
-    place = pid_at(moved, third, form="P").kp
-    around = {"velocity": complex(speed.response(second)[0]) * pushed, "position": place * moved}
-    phases = {name: math.remainder(math.pi + cmath.phase(value), 2.0 * math.pi) for name, value in around.items()}
-    return CascadeDesign(
-        replace(gains, velocity=(speed.kp, speed.ki), position=place),
-        {**found.crossovers, "velocity": second, "position": third},
-        {**found.phase_margins, **phases},
-    )
+    return CascadeDesign.of(pitch, gains, lag, {"rate": crossover, "attitude": first})
 
 
 def _crossing(around: Callable[[float], complex], near: float) -> PhaseCrossing:

@@ -1,4 +1,4 @@
-"""P, PI, PD and PID by crossover and phase margin: closed forms, exact for the sampled loop with its delay."""
+"""P, PI, PD and PID by crossover and phase margin: closed forms, exact for the sampled plant's response."""
 
 import cmath
 import math
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import ParameterError, is_number, shown
-from twodof.models.lti import DelayedStateSpace, transfer
 from twodof.signals import PERIOD
 
 Complex = NDArray[np.complex128]
@@ -62,27 +61,6 @@ def shaped_pid(mu: float, crossover: float, n: float = 100.0) -> PidGains:
     return PidGains(gain * (1.0 + zero * lead), gain * zero, gain * lead * (1.0 - zero / n), n)
 
 
-def pid(
-    plant: DelayedStateSpace,
-    crossover: float,
-    phase_margin: float = math.radians(60.0),
-    form: str = "PID",
-    output: int = 0,
-    n: float = 100.0,
-) -> PidGains:
-    """Return the gains that give the sampled loop `crossover` [rad/s] and `phase_margin` [rad] exactly; see `pid_at`.
-
-    `plant` has one input; `output` is the index of its controlled output. The plant is sampled at 250 Hz with its hold
-    and delay, as in flight. `n` [rad/s] is the filter of the derivative.
-    """
-    _positive("crossover", crossover)
-    if crossover >= math.pi / PERIOD:
-        raise ParameterError(
-            f"a crossover of {crossover:g} rad/s is above half the sample rate", "pid", "ask for a lower one"
-        )
-    return pid_at(sampled_response(plant, crossover, output), crossover, phase_margin, form, n)
-
-
 def pid_at(
     response: complex,
     crossover: float,
@@ -119,17 +97,6 @@ def pid_at(
         gains = PidGains(kp, zero * kp, kd, n)
     _check_signs(gains, form, wanted, crossover)
     return gains
-
-
-def sampled_response(plant: DelayedStateSpace, omega: float, output: int = 0) -> complex:
-    """Return G(z) of `plant` from its input to `output` at `omega` [rad/s], sampled at 250 Hz with hold and delay."""
-    if plant.b.shape[1] != 1 or not 0 <= output < plant.c.shape[0]:
-        raise ParameterError(
-            f"the plant has {plant.b.shape[1]} inputs and {plant.c.shape[0]} outputs, and output {output} is asked for",
-            "pid",
-            "give a plant with one input, and the index of one of its outputs",
-        )
-    return complex(transfer(*plant.zero_order_hold(PERIOD).augmented(), cmath.exp(1j * omega * PERIOD))[0, output, 0])
 
 
 def _parts(z: NDArray[np.complex128] | complex, n: float) -> tuple[Complex, Complex]:

@@ -1,4 +1,4 @@
-"""State feedback of the pitch: pole placement, LQI and LQG, with the moments under way as states.
+"""State feedback of the pitch: LQI and LQG, with the moments under way as states.
 
 The feedback acts on the state as it will be when the present moment arrives. The moments under way predict that state
 over the dead time (Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3 and 4.4). So it is designed on the
@@ -7,11 +7,10 @@ theta, q, the rotors and the gust of theta and q as they are measured.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import DiscreteIntegrator, DiscreteStateSpace, Gain, Logic, Mux, Pid, Saturation, Sum, Switch
@@ -21,7 +20,6 @@ from twodof.design.pitch_family import PitchFamily, PitchMembers
 from twodof.design.pitch_loop import AHEAD, GUST, PitchLoop, Q
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
-from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import ATTITUDE
 from twodof.models.plant import PitchRate
 from twodof.signals import PERIOD
@@ -58,29 +56,6 @@ class StateFeedback:
         return self.integral * PERIOD * z / (1.0 - z)
 
 
-def pole_placement(family: PitchFamily, poles: ArrayLike) -> StateFeedback:
-    """Return the feedback that gives theta, q and the integral of the estimate of `family` these `poles` [rad/s].
-
-    They are three different poles in the left half plane, complex ones with their conjugates, and are sampled at
-    250 Hz. The rotors keep their own pole. Raises ParameterError for other poles.
-    """
-    from scipy.signal import place_poles  # imported late: most commands start without it
-
-    wanted = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
-    real = wanted.shape == (3,) and bool(np.isfinite(wanted).all()) and abs(np.poly(wanted).imag).max() < 1e-9
-    apart = real and min(abs(wanted - np.roll(wanted, 1))) > 1e-6
-    if not apart or not (wanted.real < 0.0).all() or abs(wanted).max() > 200.0:
-        remedy = "give three different ones in the left half plane, up to 200 rad/s, complex ones in conjugate pairs"
-        raise _error(f"the poles {poles!r:.80} cannot be placed", remedy)
-    a, b = _without_dead_time(family)
-    own = [math.exp(-PERIOD / max(family.values["lag"], 1e-3)), 0.0]
-    try:
-        gains = place_poles(a, b[:, None], [*np.exp(wanted * PERIOD), *own]).gain_matrix[0]
-    except ValueError as reason:
-        raise _error(f"the poles cannot be placed: {reason!s:.80}", "choose other poles") from reason
-    return _predicted(family, np.asarray(gains, dtype=float), wanted)
-
-
 def lqi(
     family: PitchFamily,
     largest_theta: float = math.radians(5.0),
@@ -98,7 +73,8 @@ def lqi(
 
     sizes = (largest_theta, largest_q, largest_integral, largest_moment)
     if not all(0.0 < v < math.inf for v in sizes):
-        raise _error(f"the largest sizes {sizes!r:.80} are not all positive", "give finite numbers > 0")
+        what = f"the largest sizes {sizes!r:.80} are not all positive"
+        raise ParameterError(what, "state feedback", "give finite numbers > 0")
     a, b = _without_dead_time(family)
     weights = np.diag([largest_theta**-2, largest_q**-2, 0.0, 0.0, largest_integral**-2])
     effort = np.array([[largest_moment**-2]])
@@ -131,19 +107,24 @@ def observer(family: PitchFamily) -> tuple[Array, Array, Array, Array]:
     return a, b, c, np.asarray(gain)
 
 
-def observed_attitude(family: PitchFamily, feedback: StateFeedback, name: str, gains: Gains | None = None) -> Diagram:
-    """Return a diagram with `feedback` of the observed state in attitude mode and the rate PID of `gains` in rate mode.
+def lqg_attitude(family: PitchFamily) -> Diagram:
+    """Return an LQG controller: `lqi` of the state of the family's Kalman filter, and in rate mode a PID.
 
     The observer gets the moment after its limit of +-1, so it does not count on what the motors cannot do. The integral
-    is bounded to +-.5 rad s. Without `gains` the rate PID is that of `cascade_design` at 20 rad/s.
+    is bounded to +-.5 rad s. The rate PID is that of `cascade_design` at 20 rad/s.
     """
+    feedback = lqi(family)
     a, b, c, gain = observer(family)
     keep = np.eye(len(a)) - gain @ c
     # The state is what was predicted without the moment of the step before, which comes through a delay of one step.
     first = np.concatenate([(keep @ b)[:, None], gain], axis=1)
     row = feedback.state[None]
-    used = (_course(family) if gains is None else gains).rate
-    d = Diagram(name, "state feedback of theta, q, rotors and gust as observed, with the integral of the pitch error")
+    v = family.values
+    plant = PitchRate(v["w_n"], v["xi"], v["mu"], v["dead_time"])
+    used = cascade_design(plant, 20.0, lag=v["lag"]).gains.rate
+    d = Diagram(
+        "lqg_attitude", "state feedback of theta, q, rotors and gust as observed, with the integral of the pitch error"
+    )
     for asked in ATTITUDE.inputs:
         d.input(asked.name, asked.kind, unit=asked.unit)
     d.param("k_integral", feedback.integral, unit="1/rad/s", low=-100.0, high=100.0, text="gain on the integral")
@@ -190,16 +171,6 @@ def observed_attitude(family: PitchFamily, feedback: StateFeedback, name: str, g
     return d
 
 
-def lqg_attitude(family: PitchFamily, feedback: StateFeedback | None = None) -> Diagram:
-    """Return an LQG controller as a diagram: `feedback` (default: `lqi`) of the state of the family's Kalman filter."""
-    return observed_attitude(family, lqi(family) if feedback is None else feedback, "lqg_attitude")
-
-
-def placed_attitude(family: PitchFamily, poles: Sequence[complex] = (-8.0, -9.0 + 5.0j, -9.0 - 5.0j)) -> Diagram:
-    """Return `pole_placement` with `poles` [rad/s] on the state of the family's Kalman filter, as a diagram."""
-    return observed_attitude(family, pole_placement(family, poles), "placed_attitude")
-
-
 def _without_dead_time(family: PitchFamily) -> tuple[Array, Array]:
     """Return (A, b) of theta, q, rotors, last moment and integral, without the whole steps of the dead time."""
     whole = _whole(family)
@@ -243,13 +214,3 @@ def _with_integral(a: Array, b: Array) -> tuple[Array, Array]:
 def _whole(family: PitchFamily) -> int:
     """Return the whole steps of the dead time, as `PitchLoop` counts them."""
     return int(PitchLoop(family.nominal(), _NO_CONTROLLER).plant[0].shape[1]) - 6
-
-
-def _course(family: PitchFamily) -> Gains:
-    v = family.values
-    plant = PitchRate(v["w_n"], v["xi"], v["mu"], v["dead_time"])
-    return cascade_design(plant, 20.0, lag=v["lag"], kept=DEFAULT).gains
-
-
-def _error(what: str, remedy: str) -> ParameterError:
-    return ParameterError(what, "state feedback", remedy)

@@ -27,13 +27,13 @@ from twodof.identify.ready_made import (
     known_cart,
     priors_of,
     structure_for,
+    true_values,
 )
 from twodof.identify.record import Record
 from twodof.identify.validate import deviations
 from twodof.models.structure import Structure
 from twodof.rig.rotors import lift
-from twodof.rig.steady_state import model_parameters
-from twodof.signals import HOVER, PERIOD
+from twodof.signals import HOVER, PERIOD, Q_AGE
 
 Array = NDArray[np.float64]
 
@@ -176,7 +176,7 @@ def expected_accuracy(
 ) -> ExpectedAccuracy:
     """Return the expected accuracy of a flight: the Fisher information of a flight on the virtual rig without noise.
 
-    `values` are the assumed values of the unknowns (default: the structure's guesses). `noise` is the standard
+    `values` are the assumed values of the unknowns (default: those of the laboratory's rig). `noise` is the standard
     deviation of a sample of each output, as white noise; by default the noise is the rig's own, with gusts and
     vibration (`gyro_covariance`). Raises ExperimentError for an excitation that meets a stop or does not fit the rail.
     """
@@ -196,18 +196,18 @@ def expected_accuracy(
         kind = FLOWN_AS.get(one.name, one.name)
         if kind not in KINDS:
             kind = kind_of(log).name
-        known: dict[str, float] = dict(values or {})
-        before: dict[str, tuple[float, float]] = {}
-        if kind == "attitude":
-            structure = structure_for(kind)
-            known = {**known_cart(stops, structure, free=not one.rings), **known}
-            before = priors_of(stops, structure)
-        record = cut(log, kind)
+        structure, record, first = structure_for(kind), cut(log, kind), dict[str, float]()
         if kind == "impulse":
-            own, structure = model_parameters(stops), structure_for(kind)
             record, first = free_swing(record)
-            springs = known_cart(stops, structure, free=not one.rings)
-            known = {**{name: own[name] for name in SWING}, **springs, **first, **known}
+        before = priors_of(stops, structure) if kind == "attitude" else {}
+        own = {"dead_time": stops["delay"] - Q_AGE, "lag": stops["lag"]}
+        own |= known_cart(stops, structure, free=not one.rings)
+        own |= true_values(stops, kind, log, record.start, float(record.time[-1])) | first
+        if kind == "velocity":
+            own["coulomb"] = 0.0  # dry friction holds the cart at the start, where no speed can be told
+        # A rig may be beyond the structure's bounds: `paper` has no lag.
+        bounds = {name: (row.lower, row.upper) for name, row in structure.unknowns.items() if name in own}
+        known = {name: min(max(own[name], low), high) for name, (low, high) in bounds.items()} | dict(values or {})
         planned = _Plan(record, kind, known, before, free=not one.rings)
         found, worse = planned.information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:

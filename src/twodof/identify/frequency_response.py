@@ -1,6 +1,5 @@
 """Non-parametric frequency response: what a record says about q / M before any structure is supposed."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -115,25 +114,6 @@ class FrequencyResponse:
             for i in np.flatnonzero(self.trusted(coherence))
         )
         return "\n".join(lines)
-
-    def to_json(self) -> str:
-        """All points as JSON text; sigma is null where nothing is known."""
-        return json.dumps(
-            {
-                "input": self.input,
-                "output": self.output,
-                "given": list(self.given),
-                "reference": list(self.reference),
-                "averages": self.averages,
-                "omega": self.omega.tolist(),
-                "real": self.response.real.tolist(),
-                "imaginary": self.response.imag.tolist(),
-                "coherence": self.coherence.tolist(),
-                "multiple_coherence": self.multiple.tolist(),
-                "sigma": [one if math.isfinite(one) else None for one in self.sigma.tolist()],
-            },
-            allow_nan=False,
-        )
 
 
 def frequency_response(

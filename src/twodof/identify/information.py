@@ -4,7 +4,6 @@ The Fisher information of an experiment is J' J, with J the sensitivities of the
 is the Cramer-Rao bound, which the grey-box fit attains (Jategaonkar, Flight Vehicle System Identification, chapter 2).
 """
 
-import json
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -63,22 +62,6 @@ class Information:
             predicted, found = float(self.sigma[self.labels.index(label)]), achieved.sigma(label)
             lines.append(f"{label:{width}}{predicted:11.2g}{found:11.2g}{found / predicted:8.2f}")
         return "\n".join(lines)
-
-    def to_json(self) -> str:
-        """As JSON text."""
-        return json.dumps(
-            {
-                "structure": self.structure,
-                "unknowns": {
-                    label: {"value": float(self.values[i]), "sigma": float(self.sigma[i]), "unit": self.units[i]}
-                    for i, label in enumerate(self.labels)
-                },
-                "condition_number": self.condition_number,
-                "peaks": self.peaks,
-                "travel": self.travel,
-            },
-            indent=2,
-        )
 
 
 def predict(

@@ -1,6 +1,5 @@
 """Ranking of fits of several structures to the same data, by information criteria."""
 
-import json
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -76,13 +75,6 @@ class Ranking:
             lines.append(f"{one.name:{width}}{one.unknowns:9d}{differences}{one.weight:9.3f}")
         lines.extend(f"note: {remark}" for remark in self.remarks)
         return "\n".join(lines)
-
-    def to_json(self) -> str:
-        """Return all figures as JSON text."""
-        document = {"criterion": self.criterion, "samples": self.samples, "order": self.order}
-        return json.dumps(
-            {**document, "candidates": [vars(one) for one in self.candidates], "remarks": list(self.remarks)}
-        )
 
 
 def rank(fits: Mapping[str, Estimate], *, criterion: str = "aicc") -> Ranking:

@@ -1,6 +1,5 @@
 """A transfer function fitted to a measured frequency response (what CIFER's NAVFIT does)."""
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -126,21 +125,6 @@ class TransferFit:
         if not self.converged:
             lines.append("note: the search did not converge: hold a coefficient, or ask for a lower order")
         return "\n".join(lines)
-
-    def to_json(self) -> str:
-        """Coefficients, standard deviations and cost as JSON text."""
-        return json.dumps(
-            {
-                "estimates": {label: {"value": self[label], "sigma": self.sigma(label)} for label in self.labels},
-                "fixed": dict(self.fixed),
-                "numerator": self.numerator.tolist(),
-                "denominator": self.denominator.tolist(),
-                "dead_time": self.dead_time,
-                "cost": self.cost,
-                "band_rad_s": [float(self.omega[0]), float(self.omega[-1])],
-                "converged": self.converged,
-            }
-        )
 
     def _all(self, values: Array) -> dict[str, float]:
         return {**self.fixed, **dict(zip(self.labels, values.tolist(), strict=True))}
