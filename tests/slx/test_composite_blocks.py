@@ -300,3 +300,76 @@ def test_a_switch_compares_a_boolean_as_0_or_1_and_takes_a_boolean_beside_a_doub
     found = one_block(tmp_path, "Switch", values, ("double", "boolean", "boolean"))
     on, other = DRAWN[1] > 0, DRAWN[2] > 0
     assert np.array_equal(run(found, [DRAWN[0], on, other]), np.where(taken(on), DRAWN[0], other.astype(float)))
+
+
+# --- blocks of toolboxes
+
+
+def windows(u: np.ndarray, size: int) -> np.ndarray:
+    """The last samples at each, the oldest first; 0 before the start."""
+    return np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(size - 1), u], size)
+
+
+def estimated(y: np.ndarray) -> np.ndarray:
+    """What a Kalman filter of position and speed gives, by its definition with numpy's matrices."""
+    a, c, q, r = np.array([[1.0, DT], [0.0, 1.0]]), np.array([[1.0, 0.0]]), np.diag([1e-3, 1e-1]), 0.5
+    x, p, found = np.array([[0.3], [0.0]]), 2.0 * np.eye(2), []
+    for measured in y:
+        gain = p @ c.T / (c @ p @ c.T + r)
+        x, p = x + gain * (measured - c @ x), (np.eye(2) - gain @ c) @ p
+        found.append(x.flatten())
+        x, p = a @ x, a @ p @ a.T + q
+    return np.array(found)
+
+
+KALMAN = {"TimeDomain": "Discrete-Time", "ModelSource": "Individual A, B, C, D matrices", "A": "[1 .01; 0 1]",
+          "C": "[1 0]", "X0": "[.3; 0]", "P0": "2", "Q": "[1e-3; .1]", "R": ".5", "UseGH": "off",
+          "AddInputPort": "off"}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "wanted"),
+    [
+        ("dspstat3/Median Filter", {"WindowLength": "6"}, lambda u: np.median(windows(u, 6), axis=1)),
+        ("dspstat3/Median Filter", {"WindowLength": "7"}, lambda u: np.median(windows(u, 7), axis=1)),
+        ("dspbuff3/Delay Line", {"siz": "3", "directfeed": "off"}, lambda u: windows(before(u), 3)),
+        ("ctrlSharedLib/Kalman Filter", KALMAN, estimated),
+        ("ctrlSharedLib/Kalman Filter", {**KALMAN, "UseCurrentEstimator": "off"},
+         lambda u: np.vstack([[0.3, 0.0], (estimated(u) @ [[1.0, 0.0], [DT, 1.0]])[:-1]])),
+    ],
+)  # fmt: skip
+def test_a_block_of_a_toolbox_is_its_definition(
+    tmp_path: Path, kind: str, values: dict[str, str], wanted: Wanted
+) -> None:
+    found = run(one_block(tmp_path, kind, values, ("double",)), [DRAWN[0]])
+    assert np.allclose(found, wanted(DRAWN[0]), rtol=1e-12, atol=1e-12)
+
+
+def test_a_line_is_fitted_to_the_last_samples(tmp_path: Path) -> None:
+    blocks: Blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("Reference", "line", {"SourceBlock": "dspbuff3/Delay Line", "siz": "5"}),
+        ("Reference", "fit", {"SourceBlock": "dsppolyfun/Least Squares Polynomial Fit", "X": "(0:4)*.01", "N": "1"}),
+        ("Outport", "y", {}),
+    ]
+    model = model_of(blocks, [("u", "line"), ("line", "fit"), ("fit", "y")], tmp_path / "m.slx")
+    found = import_system(read_model(model), dt=DT)
+    wanted = [np.polyfit(np.arange(5) * 0.01, one, 1) for one in windows(DRAWN[0], 5)]
+    assert found.diagram is not None
+    built = build(from_json(to_json(found.diagram)), dt=found.dt)
+    assert np.allclose(built.machine().run(STEPS, {"u": DRAWN[0]})["y"], wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_a_delay_is_as_long_as_its_port_says(tmp_path: Path) -> None:
+    count = np.random.default_rng(2).integers(0, 12, STEPS)
+    values = {"DelayLengthSource": "Input port", "DelayLengthUpperLimit": "8", "InitialCondition": "-1"}
+    found = run(one_block(tmp_path, "Delay", values, ("double", "uint32")), [DRAWN[0], count])
+    past = np.r_[-np.ones(8), DRAWN[0]]
+    assert np.array_equal(found, [past[k + 8 - min(n, 8)] for k, n in enumerate(count)])
+
+
+def test_the_rest_of_a_toolbox_is_looked_for_in_files_and_other_forms_are_refused(tmp_path: Path) -> None:
+    (line,) = one_block(tmp_path, "dspstat3/Variance", {}, ("double",)).refused
+    assert line.why == "the library dspstat3 is not found: name its folder with --path"
+    (line,) = one_block(tmp_path, "ctrlSharedLib/Kalman Filter", {**KALMAN, "N": "1"}, ("double",)).refused
+    assert line.why.startswith("noises that depend on one another")

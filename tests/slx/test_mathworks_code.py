@@ -4,6 +4,7 @@ TWODOF_SLX_REPOS names a folder of checkouts, OWNER+NAME, of which nothing is ke
 at f54bdc9, Firmament-Autopilot/FMT-Model and FMT-Firmware with their history. A model and its C must have one version.
 """
 
+import ctypes
 import os
 import re
 import subprocess
@@ -18,8 +19,9 @@ import pytest
 from bench.computing.simulink_controller import GENERATED, MODEL, STATES, flight_controller
 from tests.slx.generated_c import built, drawn, leaves, value
 from twodof.compile import build
+from twodof.compile.machine import CompiledMachine
 from twodof.slx.importer import Imported, import_system
-from twodof.slx.matlab.evaluation import read_workspace
+from twodof.slx.matlab.evaluation import read_workspace, run
 from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 
@@ -217,3 +219,135 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     for name, one in values.items():
         found |= flat(one, f"{prefix}{name}.") if isinstance(one, Mapping) else {f"{prefix}{name}": one}
     return found
+
+
+# --- filters of the iCub robot's motor boards, in C++
+
+
+ICUB = "robotology+icub-firmware-models"
+ESTIMATION = "boards/common/models/motion_control/estimation"
+CPP = "emBODY/eBcode/arch-arm/mbd"
+READING = """
+#define private public
+#include <cstdio>
+#include <cstring>
+#include "{name}.h"
+int main() {{
+  {start}
+  float in[{inputs}], out[{outputs}] = {{0}};
+  while (fread(in, sizeof in, 1, stdin) == 1) {{
+    {step}
+    fwrite(out, sizeof out, 1, stdout);
+  }}
+  return 0;
+}}
+"""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A filter: where model and C++ are, its version, its workspace, and a step of the C++ from `in` to `out`."""
+
+    name: str
+    model: str
+    folders: tuple[str, ...]
+    version: str
+    script: str
+    inputs: int
+    outputs: int
+    start: str
+    step: str
+
+
+FILTERS = {
+    "kalman": Filter(
+        "kalman_filter", "kalman_filter", ("kalman_filter",), "1.10",
+        "Ts = .001; sysd.A = [1 .001 5e-7; 0 1 .001; 0 0 1]; sysd.C = [1 0 0];", 10, 15,
+        "static kalmanfilter::KalmanFilter f; f.initialize();",
+        """float (&x0)[3] = *(float (*)[3]) (in + 2), (&Q)[3] = *(float (*)[3]) (in + 6), (&x)[3] = *(float (*)[3]) out;
+           f.step(in[0] > 0, in[1], x0, in[5], Q, in[9], x);
+           memcpy(out + 3, f.kalman_filter_DW.MemoryP_DSTATE, 36);
+           memcpy(out + 12, f.kalman_filter_DW.MemoryX_DSTATE, 12);""",
+    ),
+    "median": Filter(
+        "filter_current", ESTIMATION, ("amcbldc/filter-current", "amcbldc/sharedutils"), "8.0", "", 1, 1,
+        "static DW_filter_current_f_T w; filter_current_Init(&w); FOCOutputs u = {};",
+        "u.Iq_fbk = in[0]; filter_current(&u, out, &w);",
+    ),
+    "velocity": Filter(
+        "estimation_velocity", ESTIMATION, ("amcbldc/estimator", "amcbldc/sharedutils"), "8.11",
+        "EstimationVelocity_Ts = .001;", 3, 1,
+        "static DW_estimation_velocity_f_T w; estimation_velocity_Init(&w);",
+        """auto mode = (EstimationVelocityModes) (int) in[0]; uint32_T window = (uint32_T) in[2];
+           estimation_velocity(&mode, in + 1, &window, out, &w);""",
+    ),
+}  # fmt: skip
+
+
+def by_cpp(one: Filter, inputs: np.ndarray, made: Path) -> np.ndarray:
+    folders = [taken("robotology+icub-firmware", "b42992119", f"{CPP}/{folder}", made) for folder in one.folders]
+    text = (folders[0] / f"{one.name}.cpp").read_text("utf-8")
+    assert re.search(rf"Model version\s*: {one.version}$", text, re.MULTILINE)
+    driver = READING.format(name=one.name, start=one.start, step=one.step, inputs=one.inputs, outputs=one.outputs)
+    (made / "driver.cpp").write_text(driver, encoding="utf-8")
+    sources = [
+        *sorted(folders[0].glob("*.cpp")),
+        *(folder / name for folder in folders[1:] for name in ("rt_hypotf.cpp", "const_params.cpp")),
+    ]
+    command = ["g++", "-O1", "-ffp-contract=off", "-w", *(f"-I{folder}" for folder in folders), *map(str, sources)]
+    subprocess.run([*command, str(made / "driver.cpp"), "-o", str(made / "run")], check=True)
+    given = inputs.astype(np.float32).tobytes()
+    done = subprocess.run([str(made / "run")], input=given, stdout=subprocess.PIPE, check=True)
+    return np.frombuffer(done.stdout, np.float32).reshape(len(inputs), one.outputs)
+
+
+def filter_of(one: Filter, made: Path) -> CompiledMachine:
+    folder = taken(ICUB, "4a3c62e", one.model, made)
+    model, names = read_model(folder / f"{one.name}.slx"), dict[str, Value]()
+    assert model.version == one.version
+    assert run(one.script, names) == []
+    beside = sorted({path.parent for end in ("sldd", "m") for path in (Path(REPOS) / ICUB).rglob(f"*.{end}")})
+    found = import_system(model, "", names, [folder, *beside], 0.001)
+    assert found.diagram is not None, found.refused
+    return build(found.diagram, dt=0.001, precision="float32").machine()
+
+
+def test_a_kalman_filter_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
+    """Estimate, covariance and state, where the filter is switched on and off."""
+    one, draw = FILTERS["kalman"], np.random.default_rng(3)
+    inputs = np.abs(drawn(ctypes.c_float, one.inputs, STEPS, (0, 0), draw))
+    inputs[:, 0] = drawn(ctypes.c_bool, 1, STEPS, (0, 2), draw)[:, 0]
+    inputs[:, 1] = drawn(ctypes.c_float, 1, STEPS, (0, 0), draw)[:, 0]
+    wanted, machine, found = by_cpp(one, inputs, tmp_path), filter_of(one, tmp_path), []
+    for row in inputs:
+        u = {"enable": bool(row[0]), "y1": row[1], "x0": row[2:5], "P0": row[5], "Q": row[6:9], "R": row[9]}
+        xhat = machine.step(u)["xhat"]
+        kept = [np.array(machine.state(f"Kalman_Filter.KF.f_{name}")).T.ravel() for name in "Px"]
+        found.append(np.concatenate([np.ravel(xhat), *kept]))
+    assert np.array_equal(np.array(found, np.float32), wanted)
+
+
+def test_a_median_of_32_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
+    one = FILTERS["median"]
+    inputs = drawn(ctypes.c_float, 1, STEPS, (0, 0), np.random.default_rng(4))
+    inputs += np.random.default_rng(5).normal(0.0, 0.3, inputs.shape)
+    machine = filter_of(one, tmp_path)
+    found = machine.run(STEPS, {"ControlOutputs.Iq_fbk": inputs[:, 0].astype(np.float32)})["FilteredCurrent"]
+    assert np.array_equal(np.array(found, np.float32), by_cpp(one, inputs, tmp_path)[:, 0])
+
+
+def test_a_velocity_has_the_bits_of_mathworks_code_but_for_its_fit(tmp_path: Path) -> None:
+    """A mean over up to 120 samples of a ring of 100, to the bit; of the fit of a line its product with a matrix."""
+    one, draw = FILTERS["velocity"], np.random.default_rng(6)
+    inputs = np.hstack([drawn(ctypes.c_uint8, 1, STEPS, (0, 3), draw), drawn(ctypes.c_float, 1, STEPS, (0, 0), draw),
+                        drawn(ctypes.c_uint8, 1, STEPS, (1, 120), draw)])  # fmt: skip
+    wanted = by_cpp(one, inputs, tmp_path)[:, 0]
+    machine = filter_of(one, tmp_path)
+    columns = {"EstimationConfig": inputs[:, 0].astype(int), "position": inputs[:, 1].astype(np.float32),
+               "est_window": inputs[:, 2]}  # fmt: skip
+    found = np.array(machine.run(STEPS, columns)["EstimatedVelocity"], np.float32)
+    fitted = inputs[:, 0] == 2
+    assert np.array_equal(found[~fitted], wanted[~fitted])
+    assert fitted.any()
+    unit = np.spacing(np.abs(wanted).max())  # of the largest: the terms of a fit nearly cancel
+    assert np.allclose(found[fitted], wanted[fitted], rtol=0.0, atol=4.0 * unit)

@@ -50,6 +50,7 @@ from twodof.slx.conditions import CONDITION_RULES
 from twodof.slx.data_types import BUS_RULES, kind_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
 from twodof.slx.matrices import MATRIX_LINES, matrix
+from twodof.slx.toolbox_blocks import TOOLBOX_RULES
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, holds, passes, plain, same
 
 
@@ -324,6 +325,7 @@ RULES: dict[str, Rule] = {
     **DYNAMIC_RULES,
     **BUS_RULES,
     **ARITHMETIC_RULES,
+    **TOOLBOX_RULES,
     "Concatenate": _mux,
     "Constant": _constant,
     "DeadZone": lambda c: same(c, DeadZone(c.scalar("LowerValue", "-0.5"), c.scalar("UpperValue", "0.5"), c.width)),

@@ -14,8 +14,8 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.blocks.action_group import resettable_integrator
 from twodof.blocks.bus import Bus
-from twodof.blocks.elementary.functions import floor
-from twodof.blocks.expressions.expr import where
+from twodof.blocks.elementary.functions import floor, trunc
+from twodof.blocks.expressions.expr import to_int32, where
 from twodof.blocks.expressions.numbers import WORDS
 from twodof.blocks.library import (
     Constant,
@@ -33,6 +33,7 @@ from twodof.blocks.library import (
     Time,
     TransferFunction,
     UnitDelay,
+    VariableDelay,
     ZeroOrderHold,
 )
 from twodof.slx.composite_blocks import Formula
@@ -61,12 +62,25 @@ def _unit_delay(c: Asked) -> Made:
 
 
 def _delay(c: Asked) -> Made:
-    c.needs("DelayLengthSource", "Dialog", "Dialog")
+    ported = c.needs("DelayLengthSource", "Dialog", "Dialog", "Input port") == "Input port"
     c.needs("InitialConditionSource", "Dialog", "Dialog")
     edge = _edge(c)
     if c.text("ShowEnablePort", "off") != "off":
         raise NotTranslated("ShowEnablePort is not translated")
     initial, signal = _initial(c, "InitialCondition")
+    if ported:
+        most, length, d = int(c.scalar("DelayLengthUpperLimit", "100")), c.inputs[1], Diagram("delay")
+        real = length.kind == "real"
+        count = Formula(
+            lambda t, n: to_int32(where(n > (float(most) if real else most), most, trunc(n) if real else n)),
+            [length],
+            Signal("int32"),
+        )
+        d.input("u", signal.kind, signal.width)
+        d.add("length", count, u1=d.input("samples", length.kind))
+        delay = VariableDelay(most, initial, True, signal.kind, signal.width)
+        d.output("y", d.add("y", delay, u="u", samples="length"))
+        return Made(d, [signal], expand=False)
     samples = int(c.scalar("DelayLength", "2"))
     if samples == 0:
         return Made(ZeroOrderHold(signal.kind, signal.width), [signal])

@@ -36,6 +36,7 @@ from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
 from twodof.slx.model import CODED, Model, SimulinkBlock, System, below, collapsed, escaped, read_model
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
+from twodof.slx.toolbox_blocks import TOOLBOXES
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
 from twodof.slx.wiring import Wiring, safe
 
@@ -190,7 +191,7 @@ class _Import(Wiring):
         """Return the block of a library that a link stands for, with what the link gives it; else the block itself."""
         for _ in range(20):
             library, _, inside = collapsed(block.values.get("SourceBlock", "")).partition("/")
-            if block.type != "Reference" or (library in OWN_LIBRARIES and block.kind in RULES):
+            if block.type != "Reference" or (library in (*OWN_LIBRARIES, *TOOLBOXES) and block.kind in RULES):
                 return block
             if library in OWN_LIBRARIES:
                 raise NotTranslated(f"the library block {library}/{inside} is not translated")

@@ -285,6 +285,28 @@ def _number(element: Any) -> Any:
 _sum = _reduced(_add, _number)
 
 
+def _ordered(value: Value) -> list[Any]:
+    """Return the elements of a vector from the smallest on. Source: Knuth, vol. 3, 5.2.2, algorithm M, by merging."""
+    found = list(lifted(as_array(value)).flatten())
+    if 1 not in as_array(value).shape:
+        raise NotComputed("a matrix with signals is not sorted")
+    low, high = _extreme(False), _extreme(True)
+    for p in (1 << k for k in range((len(found) - 1).bit_length())):
+        for step in (p >> k for k in range(p.bit_length())):
+            for k in range(step % p, len(found) - step, 2 * step):
+                for one in range(k, k + min(step, len(found) - k - step)):
+                    if one // (2 * p) == (one + step) // (2 * p):
+                        pair = [filled((1, 1), [found[at]]) for at in (one, one + step)]
+                        found[one], found[one + step] = low(*pair).flat[0], high(*pair).flat[0]
+    return found
+
+
+def _median(value: Value) -> Array:
+    found = _ordered(value)
+    middle = found[(len(found) - 1) // 2 : len(found) // 2 + 1]
+    return _mean(filled((len(middle), 1), middle))
+
+
 def _accumulated(value: Value) -> Array:
     array = lifted(as_array(value))
     if 1 not in array.shape:
@@ -426,6 +448,7 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "times": OPERATORS[".*"], "power": OPERATORS[".^"], "plus": OPERATORS["+"], "minus": OPERATORS["-"],
     "rdivide": OPERATORS["./"], "xor": _each(_logical(operator.ne)), "interp1": _interpolated,
     "bitand": _each(_bits(and_)), "bitor": _each(_bits(or_)), "bitxor": _each(_bits(operator.xor)),
+    "sort": lambda a: filled(as_array(a).shape, _ordered(a)), "median": _median,
     "cast": lambda value, kind: SIGNAL_FUNCTIONS[kind](value),
 }  # fmt: skip
 

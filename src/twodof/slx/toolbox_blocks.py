@@ -1,0 +1,109 @@
+"""Blocks of MathWorks' toolboxes, each as a function in MATLAB's language: filters, a fit, an estimator.
+
+A function has the order of operations of MathWorks' C. What a block's dialog offers beyond it is refused by its name.
+Source: reference pages of Control System Toolbox and DSP System Toolbox.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from twodof.errors import DiagramError
+from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, passes
+
+TOOLBOXES = ("ctrlSharedLib", "dspstat3", "dspbuff3", "dsppolyfun")
+"""Libraries of these blocks: of another block in them a file is looked for."""
+
+
+def _function(c: Asked, code: str, constants: Mapping[str, Any] | None = None) -> Made:
+    """Return the block of a function, whose first arguments are the inputs and the others `constants`."""
+    try:
+        item = MatlabFunction(code, c.inputs, constants)
+    except DiagramError as reason:
+        raise NotTranslated(reason.what) from None
+    return Made(item, [Signal(one.kind, one.width, one.shape) for one in item.outputs], expand=False)
+
+
+def _median(c: Asked) -> Made:
+    """Return the median of the last samples, which are 0 before the start."""
+    c.needs("SpecifyWindowLength", "on", "on")
+    code = """function y = f(u, n)
+    persistent w
+    if isempty(w), w = zeros(n, 1); end
+    w = [w(2:end); u];
+    y = median(w);"""
+    return _function(c, code, {"n": c.value("WindowLength", "5")})
+
+
+def _line(c: Asked) -> Made:
+    """Return the last samples, the oldest first; with the present one where it feeds through."""
+    for name in ("enable_output", "hold_output"):
+        c.needs(name, "off", "off")
+    order = "w = [w(2:end); u]; y = w;" if c.text("directfeed", "on") == "on" else "y = w; w = [w(2:end); u];"
+    code = f"""function y = f(u, n, x0)
+    persistent w
+    if isempty(w), w = x0 .* ones(n, 1); end
+    {order}"""
+    return _function(c, code, {"n": c.value("siz", "64"), "x0": c.value("ic", "0").reshape(-1, 1)})
+
+
+def _polynomial(c: Asked) -> Made:
+    """Return the coefficients of the polynomial that fits the input at fixed places, the highest power first."""
+    places = c.value("X", "[1 2 3 4 5]'").flatten().astype(float)
+    fit = np.linalg.pinv(np.vander(places, int(c.scalar("N", "4")) + 1))
+    c.notes.append("the fit is one product with a matrix: some units in the last place from a solver's")
+    return _function(c, "function p = f(u, k)\np = k * u;", {"k": fit})
+
+
+def _kalman(c: Asked) -> Made:
+    """Return the estimate of a discrete Kalman filter without known inputs, whose noise acts on each state."""
+    only = {"TimeDomain": "Discrete-Time", "ModelSource": "Individual A, B, C, D matrices", "AddInputPort": "off"}
+    for name, wanted in only.items():
+        c.needs(name, "", wanted)
+    for name in ("UseK", "UseGH", "AddEnablePort", "OutputEstimatedY", "OutputP"):
+        c.needs(name, "off", "off")
+    c.needs("ExternalReset", "None", "None")
+    c.needs("TimeInvariantN", "on", "on")
+    if c.value("N", "0").any() or c.inputs[0].width is not None:
+        raise NotTranslated("noises that depend on one another, or several measurements, are not translated")
+    ports = ["y", *(["x0", "P0"] if c.text("InitialEstimateSource", "Dialog") == "Input port" else [])]
+    ports += [name for name in "QR" if c.text(f"TimeInvariant{name}", "on") == "off"]
+    constants = {
+        name: c.value(name.capitalize(), "1") for name in ("A", "C", "x0", "P0", "Q", "R") if name not in ports
+    }
+    now = "M * e + x" if c.text("UseCurrentEstimator", "on") == "on" else "x"
+    code = f"""function xhat = f({", ".join([*ports, *constants])})
+    persistent P x
+    if isempty(P)
+      x = x0 .* ones(size(A, 1), 1); P = covariance(P0, size(A, 1));
+    end
+    V = R;
+    if V <= 0, V = 2^-23; end
+    s = C * P * C' + V;
+    L = A * P * C' / s; M = P * C' / s;
+    e = y - C * x;
+    xhat = {now};
+    x = A * x + L * e;
+    K = eye(size(A, 1)) - M * C;
+    P = A * (K * P * K' + M * V * M') * A' + covariance(Q, size(A, 1));
+    end
+    function S = covariance(s, n)
+    if size(s, 1) == size(s, 2) && size(s, 1) == n
+      S = s;
+    else
+      S = diag(max(s, 0) .* ones(n, 1));
+    end
+    end"""
+    return _function(c, code, constants)
+
+
+TOOLBOX_RULES: dict[str, Rule] = {
+    "Delay Line": _line,
+    "FrameConversion": passes,
+    "Kalman Filter": _kalman,
+    "Least Squares Polynomial Fit": _polynomial,
+    "Median Filter": _median,
+}
+"""Rule of each of these, by the library block's name."""
