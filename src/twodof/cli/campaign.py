@@ -10,7 +10,7 @@ from twodof.campaign.coverage import COLUMNS, FLOWN, IdentifiedByDefault, covera
 from twodof.campaign.plan import plan
 from twodof.campaign.workers import campaign as run_campaign
 from twodof.cli.options import Force, Json, Rig, argument, option
-from twodof.cli.output import print_json, progress, say_line, table, table_console
+from twodof.cli.output import print_result, progress, say_line, table
 from twodof.errors import ExperimentError, nearest
 
 
@@ -53,12 +53,10 @@ def campaign(
             report=lambda done: report(runs[done - 1].case, done / len(runs)),
         )
     found = list(coverage(rows))
-    if json:
-        print_json({"rig": rig, "coverage": [asdict(one) for one in found], "failures": failures(rows)})
-        return
     shown = table(*COLUMNS, right=range(2, 8))
     for one in found:
         shown.add_row(*one.text)
-    table_console().print(shown)
-    for line in failures(rows):
+    missed = failures(rows)
+    print_result(json, {"rig": rig, "coverage": [asdict(one) for one in found], "failures": missed}, [shown])
+    for line in () if json else missed:
         say_line(f"note: {line}")

@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import typer
 
 from twodof.cli.options import Force, Json, argument, flag, option, read_input
-from twodof.cli.output import print_json, table, table_console
+from twodof.cli.output import print_result, table
 from twodof.errors import LinkError, ParameterError, RefusalReason, Rejected, shown
 from twodof.fleet.local_drone import controller_in_words, with_port_owner
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import write_text
 from twodof.flightlog.files import check_folder
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.discovery import LOOPBACK, discover
@@ -79,13 +79,6 @@ def drones(
 ) -> None:
     """List the drones that are heard on PX4's ports of this machine, or answer at those of HOST. Commands nothing."""
     found = asyncio.run(discover(timeout, [LOOPBACK, *(host or ())]))
-    if json:
-        print_json([one._asdict() for one in found])
-        return
-    console = table_console()
-    if not found:
-        console.print(f"no drone was heard within {timeout:g} s")
-        return
     rows = table("drone", "connect to", "mode", "", "autopilot", "")
     drones_at = Counter(one.url for one in found)
     for one in found:
@@ -93,7 +86,8 @@ def drones(
         place = f"{one.url}, drone={one.system}" if drones_at[one.url] > 1 else one.url
         flies = "" if one.changed is None else controller_in_words(one.controller, one.changed)
         rows.add_row(str(one.system), place, one.mode, "armed" if one.armed else "", one.autopilot, flies)
-    console.print(rows)
+    shown = rows if found else f"no drone was heard within {timeout:g} s"
+    print_result(json, [one._asdict() for one in found], [shown])
 
 
 def kill(
@@ -115,12 +109,10 @@ def kill(
     with there:
         before = there.state
         there.kill()
-    if json:
-        print_json({"url": url, "was_armed": before.armed, "mode": before.mode, "held": there.state.killed})
-    else:
-        was = f"it was armed, in mode {before.mode}" if before.armed else "it was not armed"
-        until = f", and held so until released: twodof kill --release --url {url}" if there.state.killed else ""
-        table_console().print(f"motors off ({was}){until}", soft_wrap=True)
+    was = f"it was armed, in mode {before.mode}" if before.armed else "it was not armed"
+    until = f", and held so until released: twodof kill --release --url {url}" if there.state.killed else ""
+    document = {"url": url, "was_armed": before.armed, "mode": before.mode, "held": there.state.killed}
+    print_result(json, document, [f"motors off ({was}){until}"])
 
 
 def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
@@ -128,10 +120,8 @@ def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
     with connect(url, key=key, drone=drone) as there:
         before = there.state
         there.release()
-    if json:
-        print_json({"url": url, "was_held": before.killed, "held": there.state.killed})
-    else:
-        table_console().print("released: it may be armed again" if before.killed else "it was not killed")
+    said = "released: it may be armed again" if before.killed else "it was not killed"
+    print_result(json, {"url": url, "was_held": before.killed, "held": there.state.killed}, [said])
 
 
 def key(
@@ -145,10 +135,8 @@ def key(
     """
     made = Key.fresh()
     write_key(file, made)
-    if json:
-        print_json({"file": str(file), "fingerprint": made.fingerprint})
-    else:
-        table_console().print(f"written: {file}, fingerprint {made.fingerprint}")
+    document = {"file": str(file), "fingerprint": made.fingerprint}
+    print_result(json, document, [f"written: {file}, fingerprint {made.fingerprint}"])
 
 
 def parameters(
@@ -189,26 +177,20 @@ def parameters(
         rows = _rows(there, names, changes, described) if names or every else []
         if save is not None:
             entries = there.parameters.all().values()
-            with atomic_write(save, "w") as out:
-                out.write(ParameterFile.of(entries, there.there.session.system).text())
+            write_text(save, ParameterFile.of(entries, there.there.session.system).text())
             typer.echo(f"written: {save}", err=True)
     if not (rows or every or json):
         return
     if changed:
         rows = [row for row in rows if row["default"] is not None and row["value"] != row["default"]]
-    if json:
-        print_json({"url": url, "set": changes, "parameters": rows})
-        return
-    if changed and not rows:
-        table_console().print("all are at their defaults")
-        return
     made = table("name", "value", "default", "from", "to", "unit", "is", right=range(1, 5))
     for column in made.columns[:-1]:  # in a narrow terminal the words are broken, no name and no number is cut
         column.no_wrap = True
     for row in rows:
         numbers = (_number(row[key]) for key in ("value", "default", "low", "high"))
         made.add_row(row["name"], *numbers, row["unit"], row["text"])
-    table_console().print(made)
+    shown = "all are at their defaults" if changed and not rows else made
+    print_result(json, {"url": url, "set": changes, "parameters": rows}, [shown])
 
 
 def _print_loaded(differs: int, missing: Sequence[str]) -> None:

@@ -1,18 +1,20 @@
 """`twodof demo`: the whole way, from flying to the report."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
 
+from rich.console import RenderableType
+
 from twodof.cli.options import Force, Json, option
-from twodof.cli.output import exit_unless, print_fields, progress, say_line, table, table_console
+from twodof.cli.output import exit_unless, print_result, progress, say_line, table
 from twodof.errors import LogError
 from twodof.experiment.experiments import IDENTIFICATION, Experiment
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.flight_series import fly_series
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import write_text
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.provenance import versions
 from twodof.flightlog.public_data import VARIABLE, available
@@ -60,18 +62,15 @@ def demo(
         step("write the report")
         machines = [*rigs, *([drone] if drone is not None else [])]
         page = to_html(content(machines, _provenance(list(logs), repetitions), tables))
-        with atomic_write(out, "w") as file:
-            file.write(page)
+        write_text(out, page)
     seconds = time.monotonic() - began
-    if json:
-        print_fields(
-            machines=[{"name": machine.name, "parameters": _parameters(machine)} for machine in machines],
-            real_logs=sorted(logs),
-            report=str(out),
-            seconds=seconds,
-        )
-    else:
-        _print(machines, len(logs), out, seconds)
+    document = {
+        "machines": [{"name": machine.name, "parameters": _parameters(machine)} for machine in machines],
+        "real_logs": sorted(logs),
+        "report": str(out),
+        "seconds": seconds,
+    }
+    print_result(json, document, _lines(machines, len(logs), out, seconds))
     exit_unless(not any(machine.remarks or not _complete(machine) for machine in rigs))
 
 
@@ -127,8 +126,7 @@ def _parameters(machine: CharacterisedMachine) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _print(machines: list[CharacterisedMachine], logs: int, out: Path, seconds: float) -> None:
-    console = table_console()
+def _lines(machines: list[CharacterisedMachine], logs: int, out: Path, seconds: float) -> Iterator[RenderableType]:
     for machine in machines:
         heads = ("", "unit", "paper", "truth", "simple", "grey-box")
         made = table(*heads, right=range(2, 6), title=machine.name, title_justify="left")
@@ -136,11 +134,11 @@ def _print(machines: list[CharacterisedMachine], logs: int, out: Path, seconds: 
             column.min_width = 9
         for row in rows(machine):
             made.add_row(*_cells(row))
-        console.print(made)
-        console.print()
+        yield made
+        yield ""
     if not logs:
-        console.print(f"The real drone's logs are not at hand; {VARIABLE} names the folder that holds them.")
-    console.print(f"Report: {out.resolve()} ({seconds:.0f} s)")
+        yield f"The real drone's logs are not at hand; {VARIABLE} names the folder that holds them."
+    yield f"Report: {out.resolve()} ({seconds:.0f} s)"
 
 
 def _cells(row: ParameterRow) -> list[str]:

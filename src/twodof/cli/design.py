@@ -2,6 +2,7 @@
 
 import json as json_text
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,20 +20,17 @@ from twodof.cli.options import (
     argument,
     group,
     option,
-    read_input,
+    read_json,
 )
-from twodof.cli.output import exit_unless, print_fields, print_json, progress, say_line, table_console
+from twodof.cli.output import exit_unless, print_result, progress, say_line
 from twodof.design.cascade import SEPARATION, CascadeDesign
 from twodof.design.designed_controller import CROSSOVER, design_controller
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import MEMBERS, STEPS, Promise
-from twodof.design.robustness import Robustness
-from twodof.design.saturated_step import SaturatedStep
-from twodof.design.specification import Requirement, read_specification
-from twodof.errors import ParameterError
+from twodof.design.specification import read_specification
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, save_diagram
-from twodof.flightlog.atomic import atomic_write, check_free
+from twodof.flightlog.atomic import check_free, write_text
 from twodof.flightlog.files import read_log
 from twodof.report.plots.comparison_view import promise_view
 from twodof.report.plots.flight_view import check_place
@@ -42,7 +40,7 @@ from twodof.sim.promised.rail_promise import RailFamily, check_rail, rail_promis
 
 design = group("Design a controller on an identified model, promise its flight, and judge it.")
 
-MAX_BYTES = 1 << 24
+_IDENTIFIED = "give what `twodof identify --json` printed"
 
 
 @design.command()
@@ -91,7 +89,7 @@ def controller(
     if anti_windup != "none" and method != "cascade":
         raise typer.BadParameter("--anti-windup is of the cascade's PID: leave --method out")
     _check_places(out, promise_file, plot, force)
-    family = PitchFamily.from_identified(_document(model), model).disturbed(gust, gust_time, q_noise)
+    family = PitchFamily.from_identified(read_json(model, _IDENTIFIED), model).disturbed(gust, gust_time, q_noise)
     asked = None if spec is None else read_specification(spec)
     with progress() as report:
         made = design_controller(
@@ -112,15 +110,10 @@ def controller(
     if sure.robust:
         save_diagram(made.diagram, out, overwrite=force)
         written = {"diagram": str(out), **_keep(found, promise_file, plot, force)}
-    if json:
-        print_json({**made.to_json(), "written": written})
-    else:
-        if made.cascade is not None:
-            _say_cascade(made.cascade)
-        _say(sure, made.saturation, found, made.requirements)
-        for name in written.values():
-            say_line(f"written: {name}")
-    _say_notes(family)
+    lines = [] if made.cascade is None else _cascade_lines(made.cascade)
+    lines += [sure.text, made.saturation.text, found.table(), *(one.text for one in made.requirements)]
+    print_result(json, {**made.to_json(), "written": written}, lines)
+    _say_notes(family, () if json else written.values())
     if not sure.robust:
         say_line("note: nothing is written; ask for a lower crossover, or identify the model better")
     elif not made.ready:
@@ -144,28 +137,15 @@ def verdict(
     """
     if plot is not None:
         check_place(plot, force)
-    document = _document(promised)
-    made = Promise.from_json(document, str(promised))
+    made = Promise.from_json(read_json(promised, _IDENTIFIED), str(promised))
     flight = read_log(log)
     found = made.verdict_of(flight)
     if plot is not None:
         write_view(promise_view(made, flight), plot, force)
-    if json:
-        print_json({**found.to_json(), "plot": None if plot is None else str(plot)})
-    else:
-        table_console().print(found.table())
-        if plot is not None:
-            say_line(f"written: {plot}")
+    print_result(json, {**found.to_json(), "plot": None if plot is None else str(plot)}, [found.table()])
+    if plot is not None and not json:
+        say_line(f"written: {plot}")
     exit_unless(found.stands)
-
-
-def _document(source: str | Path) -> Any:
-    """Return the JSON of a file, or of standard input for "-". Raises LogError, ParameterError."""
-    try:
-        return json_text.loads(read_input(source, MAX_BYTES))
-    except (ValueError, RecursionError) as reason:
-        remedy = "give what `twodof identify --json` printed"
-        raise ParameterError(f"it is not JSON: {reason!s:.80}", str(source), remedy) from reason
 
 
 def _check_places(out: Path | None, promise: Path | None, plot: Path | None, force: bool) -> None:
@@ -180,38 +160,26 @@ def _check_places(out: Path | None, promise: Path | None, plot: Path | None, for
 def _keep(made: Promise, promise: Path | None, plot: Path | None, force: bool) -> dict[str, str]:
     """Write and draw a promise as the options ask; return what was written."""
     if promise is not None:
-        _write(promise, made.to_json())
+        write_text(promise, json_text.dumps(made.to_json(), allow_nan=False))
     if plot is not None:
         write_view(promise_view(made), plot, force)
     return {name: str(path) for name, path in (("promise", promise), ("plot", plot)) if path is not None}
 
 
-def _write(path: Path, document: Any) -> None:
-    with atomic_write(path, "w") as file:
-        json_text.dump(document, file, allow_nan=False)
-
-
-def _say_cascade(made: CascadeDesign) -> None:
-    console = table_console()
+def _cascade_lines(made: CascadeDesign) -> list[Any]:
     kp, ki, kd = made.gains.rate
-    console.print(f"rate PID: Kp {kp:.5g}, Ki {ki:.5g}, Kd {kd:.4g}; attitude P: Kp {made.gains.attitude:.4g}")
+    lines = [f"rate PID: Kp {kp:.5g}, Ki {ki:.5g}, Kd {kd:.4g}; attitude P: Kp {made.gains.attitude:.4g}"]
     for name in ("rate", "attitude"):
         crossover, margin = made.crossovers[name], math.degrees(made.phase_margins[name])
-        console.print(f"{name} loop: crossover {crossover:.3g} rad/s, phase margin {margin:.3g} deg")
+        lines.append(f"{name} loop: crossover {crossover:.3g} rad/s, phase margin {margin:.3g} deg")
+    return lines
 
 
-def _say_notes(family: PitchFamily) -> None:
+def _say_notes(family: PitchFamily, written: Iterable[str]) -> None:
+    for name in written:
+        say_line(f"written: {name}")
     for note in family.notes:
         say_line(f"note: {note}")
-
-
-def _say(sure: Robustness, limited: SaturatedStep, found: Promise, checked: tuple[Requirement, ...]) -> None:
-    console = table_console()
-    console.print(sure.text)
-    console.print(limited.text)
-    console.print(found.table())
-    for one in checked:
-        console.print(one.text)
 
 
 _SEARCH, _FLOWN = 0.8, 0.9  # shares of the work that end there
@@ -256,7 +224,7 @@ def rail(
     if out is not None and (spec is None or controller):
         raise typer.BadParameter("--out searches gains of the stock loops for --spec: give --spec, and no --controller")
     _check_places(out, promise_file, plot, force)
-    family = RailFamily.from_identified(_document(pitch), _document(cart), rig)
+    family = RailFamily.from_identified(read_json(pitch, _IDENTIFIED), read_json(cart, _IDENTIFIED), rig)
     diagrams, flown = [load_diagram(one) for one in controller or []], load_gains(gains)
     asked = None if spec is None else read_specification(spec, "rail")
     which = loop if loop is not None else (asked.loop if asked is not None else "velocity")
@@ -284,24 +252,17 @@ def rail(
     written: dict[str, str] = {}
     if made.robust:
         if out is not None:
-            _write(out, flown.to_json())
+            write_text(out, json_text.dumps(flown.to_json(), allow_nan=False))
             written["gains"] = str(out)
         written |= _keep(made, promise_file, plot, force)
-    if json:
-        print_fields(
-            promise=made.to_json(),
-            specification=[one.to_json() for one in checked],
-            gains=flown.to_json(),
-            written=written,
-        )
-    else:
-        if found is not None:
-            kp, ki = flown.velocity
-            table_console().print(f"velocity PI: Kp {kp:.4g}, Ki {ki:.4g}; position P: Kp {flown.position:.4g}")
-        table_console().print(made.table())
-        for one in checked:
-            table_console().print(one.text)
-        for name in written.values():
-            say_line(f"written: {name}")
-    _say_notes(family.pitch)
+    document = {
+        "promise": made.to_json(),
+        "specification": [one.to_json() for one in checked],
+        "gains": flown.to_json(),
+        "written": written,
+    }
+    kp, ki = flown.velocity
+    searched = f"velocity PI: Kp {kp:.4g}, Ki {ki:.4g}; position P: Kp {flown.position:.4g}"
+    print_result(json, document, [*[searched] * (found is not None), made.table(), *(one.text for one in checked)])
+    _say_notes(family.pitch, () if json else written.values())
     exit_unless(made.robust and all(one.met for one in checked))

@@ -2,19 +2,20 @@
 
 import importlib
 import json as json_text
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
+from rich.console import RenderableType
 from rich.table import Table
 
 from twodof.blocks.declarations import unknown_name
 from twodof.cli.margins import cascade_loops
 from twodof.cli.options import Force, Json, Reals, argument, flag, group, option, read_input
-from twodof.cli.output import exit_unless, print_fields, print_json, table, table_console
+from twodof.cli.output import exit_unless, print_result, table, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c_files.c_files import SourceLine, SourceMap, c_files, source_map
 from twodof.compile.diagram_test.coverage import Coverage, measure_coverage
@@ -29,7 +30,7 @@ from twodof.compile.program.check import check as check_diagram
 from twodof.errors import DiagramError, LogError
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, new_diagram
 from twodof.flight.templates import TEMPLATES, TemplateFit, nearest_template, template_fit
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import write_text
 from twodof.flightlog.files import check_folder
 from twodof.report.code_page import code_page
 from twodof.report.diagram_svg import find, to_svg
@@ -72,21 +73,15 @@ def check(
     found = check_diagram(checked, dt)
     meant = template or nearest_template(checked)
     fit = None if meant is None else template_fit(checked, meant)
-    if json:
-        print_fields(
-            fine=found.fine,
-            problems=[{"what": p.what, "where": p.where, "remedy": p.remedy} for p in found.problems],
-            remarks=[asdict(r) for r in found.remarks],
-            sizes=asdict(found.sizes) if found.sizes else None,
-            feedthrough=found.feedthrough,
-            port_feedthrough=found.port_feedthrough,
-            unread=found.unread,
-            left_out=found.left_out,
-            template=None if fit is None else {"name": meant, "fits": fit.fits, "faults": _misfits(fit, found)},
-        )
-    else:
-        _print_findings(found, dt)
-        _print_fit(fit, found)
+    document = {
+        "fine": found.fine,
+        "problems": [{"what": p.what, "where": p.where, "remedy": p.remedy} for p in found.problems],
+        "remarks": [asdict(r) for r in found.remarks],
+        "sizes": asdict(found.sizes) if found.sizes else None,
+        **{key: getattr(found, key) for key in ("feedthrough", "port_feedthrough", "unread", "left_out")},
+        "template": None if fit is None else {"name": meant, "fits": fit.fits, "faults": _misfits(fit, found)},
+    }
+    print_result(json, document, [*_finding_lines(found, dt), *_fit_lines(fit, found)])
     exit_unless(found.fine and not (template and fit is not None and not fit.fits))
 
 
@@ -95,34 +90,28 @@ def _misfits(fit: TemplateFit, found: Findings) -> list[str]:
     return [*fit.faults, *([str(fit.refusal)] if fit.refusal is not None and found.fine else [])]
 
 
-def _print_fit(fit: TemplateFit | None, found: Findings) -> None:
-    console = table_console()
+def _fit_lines(fit: TemplateFit | None, found: Findings) -> list[str]:
     if fit is None:
-        console.print(f"\nit fits no template of the drone's controllers ({', '.join(TEMPLATES)})")
-    elif fit.fits:
-        console.print(f"\nit fits the template {fit.template.name}")
-    else:
-        lines = _misfits(fit, found)
-        console.print(f"\nit does not fit the template {fit.template.name}{':' if lines else ''}")
-        for line in lines:
-            console.print(f"  {line}")
+        return [f"\nit fits no template of the drone's controllers ({', '.join(TEMPLATES)})"]
+    if fit.fits:
+        return [f"\nit fits the template {fit.template.name}"]
+    faults = _misfits(fit, found)
+    heading = f"\nit does not fit the template {fit.template.name}{':' if faults else ''}"
+    return [heading, *(f"  {line}" for line in faults)]
 
 
-def _print_findings(found: Findings, dt: float) -> None:
-    console = table_console()
+def _item_lines(title: str, items: Sequence[Any]) -> list[str]:
+    rows = [f"  {item.where}: {item.what} ({item.remedy})" for item in items]
+    return [f"\n{title}:", *rows] if rows else []
 
-    def rows(title: str, items: Any) -> None:
-        if items:
-            console.print(f"\n{title}:")
-            for item in items:
-                console.print(f"  {item.where}: {item.what} ({item.remedy})")
 
+def _finding_lines(found: Findings, dt: float) -> Iterator[RenderableType]:
     if not found.fine:
         count = len(found.problems)
-        console.print(f"it does not compile: {count} problem{'s' if count > 1 else ''}")
-        rows("problems", found.problems)
+        yield f"it does not compile: {count} problem{'s' if count > 1 else ''}"
+        yield from _item_lines("problems", found.problems)
         return
-    console.print("it compiles")
+    yield "it compiles"
     if found.sizes:
         sizes = table(show_header=False)
         for name, value in asdict(found.sizes).items():
@@ -130,14 +119,14 @@ def _print_findings(found: Findings, dt: float) -> None:
                 sizes.add_row(name.replace("_", " "), str(value))
         rates = (f"{1 / (dt * d):g} Hz" + (f" from tick {o}" if o else "") for d, o in found.sizes.rates)
         sizes.add_row("rates", ", ".join(rates))
-        console.print(sizes)
+        yield sizes
     if found.feedthrough:
-        console.print("\nin the same tick:")
+        yield "\nin the same tick:"
         for output, inputs in found.feedthrough.items():
-            console.print(f"  {output} <- {', '.join(inputs) or 'no input'}")
+            yield f"  {output} <- {', '.join(inputs) or 'no input'}"
     if found.unread:
-        console.print(f"\noutputs that nobody reads: {', '.join(found.unread)}")
-    rows("remarks", found.remarks)
+        yield f"\noutputs that nobody reads: {', '.join(found.unread)}"
+    yield from _item_lines("remarks", found.remarks)
 
 
 @diagram.command()
@@ -160,28 +149,23 @@ def code(
     if block is not None and block not in found.blocks:
         raise unknown_name("block", block, sorted(found.blocks), shown.name)
     if out is not None:
-        with atomic_write(out, "w") as file:
-            file.write(emitted.source)
+        write_text(out, emitted.source)
     if html is not None:
-        with atomic_write(html, "w") as file:
-            file.write(code_page(shown.name, shown.text, found))
-    if json:
-        chosen = sorted(found.blocks) if block is None else [block]
-        print_fields(
-            blocks={path: {"type": found.blocks[path], "lines": found.of(path)} for path in chosen},
-            left_out=found.left_out,
-            lines=len(found.lines),
-        )
-    elif out is None and html is None:
-        _print_code(found, block)
-    else:
-        written = ", ".join(str(file) for file in (out, html) if file is not None)
-        table_console().print(f"written: {written}")
+        write_text(html, code_page(shown.name, shown.text, found))
+    document = {
+        "blocks": {
+            path: {"type": found.blocks[path], "lines": found.of(path)}
+            for path in (sorted(found.blocks) if block is None else [block])
+        },
+        "left_out": found.left_out,
+        "lines": len(found.lines),
+    }
+    written = ", ".join(map(str, filter(None, (out, html))))
+    print_result(json, document, [f"written: {written}"] if written else _code_lines(found, block))
 
 
-def _print_code(found: SourceMap, block: str | None) -> None:
-    """Print path or role, line number and C in three columns, without helpers and structs."""
-    console = table_console()
+def _code_lines(found: SourceMap, block: str | None) -> Iterator[str]:
+    """Yield path or role, line number and C in three columns, without helpers and structs."""
     chosen = (line for line in found.lines if not block or line.block == block)
     lines = [line for line in chosen if block or _is_shown(line)]
     width = min(max((len(line.block or line.role) for line in lines), default=0), 44)
@@ -190,11 +174,11 @@ def _print_code(found: SourceMap, block: str | None) -> None:
         name = line.block or line.role
         shown = name if (line.part, name) != before else ""
         before = line.part, name
-        console.print(f"{shown[-width:]:{width}} {line.number:5d}  {line.text}".rstrip())
+        yield f"{shown[-width:]:{width}} {line.number:5d}  {line.text}".rstrip()
     if block in found.left_out:
-        console.print("nothing of it runs: nobody needs it")
+        yield "nothing of it runs: nobody needs it"
     elif block is None and found.left_out:
-        console.print(f"\nleft out, as nobody needs them: {', '.join(found.left_out)}")
+        yield f"\nleft out, as nobody needs them: {', '.join(found.left_out)}"
 
 
 def _is_shown(line: SourceLine) -> bool:
@@ -220,8 +204,7 @@ def render(
     if out is None:
         typer.echo(picture, nl=False)
         return
-    with atomic_write(out, "w") as file:
-        file.write(picture)
+    write_text(out, picture)
     table_console().print(f"written: {out}")
 
 
@@ -244,10 +227,7 @@ def linearize(
     found = linearize_diagram(
         load_diagram(diagram), dt, _at(at), inputs or None, outputs or None, trim, free or (), time, keep_all
     )
-    if json:
-        print_json(found.to_json())
-    else:
-        _print_model(found)
+    print_result(json, found.to_json(), _model_lines(found))
 
 
 def _at(text: str | None) -> dict[str, Any]:
@@ -263,11 +243,10 @@ def _at(text: str | None) -> dict[str, Any]:
     return found
 
 
-def _print_model(found: LinearModel) -> None:
-    console = table_console()
+def _model_lines(found: LinearModel) -> Iterator[RenderableType]:
     kind = "dx/dt" if found.dt is None else f"x[k+1], one step is {found.dt:g} s"
     n, m, p = len(found.states), len(found.inputs), len(found.outputs)
-    console.print(f"{found.name}: {kind}; {n} states, {m} inputs, {p} outputs")
+    yield f"{found.name}: {kind}; {n} states, {m} inputs, {p} outputs"
     for letter, matrix, rows, columns in (
         ("A", found.a, found.states, found.states),
         ("B", found.b, found.states, found.inputs),
@@ -275,16 +254,14 @@ def _print_model(found: LinearModel) -> None:
         ("D", found.d, found.outputs, found.inputs),
     ):
         if matrix.size:
-            console.print(f"\n{letter}")
-            console.print(_matrix(matrix, rows, columns))
+            yield f"\n{letter}"
+            yield _matrix(matrix, rows, columns)
     if n:
-        console.print("\npoles")
+        yield "\npoles"
         for pole in sorted(found.poles(), key=lambda q: (abs(q), q.imag)):
-            console.print(f"  {_pole(complex(pole), found.dt)}")
-    for names, why in _alike(found.left_out):
-        console.print(f"left out: {names} ({why})")
-    for name, what in found.remarks.items():
-        console.print(f"remark: {name}: {what}")
+            yield f"  {_pole(complex(pole), found.dt)}"
+    yield from (f"left out: {names} ({why})" for names, why in _alike(found.left_out))
+    yield from (f"remark: {name}: {what}" for name, what in found.remarks.items())
 
 
 def _alike(left_out: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -337,11 +314,9 @@ def export(
     """
     made = c_files(load_diagram(diagram), dt, precision, log or (), name=name, tables=tables)
     paths = made.write(folder, force)
-    if json:
-        sizes = dict(zip(("real", "P", "S", "U", "Y"), made.emitted.sizes, strict=True))
-        print_json({"name": made.name, "files": [str(path) for path in paths], "sizes": sizes})
-        return
-    table_console().print(f"written: {', '.join(map(str, paths))}")
+    files = [str(path) for path in paths]
+    sizes = dict(zip(("real", "P", "S", "U", "Y"), made.emitted.sizes, strict=True))
+    print_result(json, {"name": made.name, "files": files, "sizes": sizes}, [f"written: {', '.join(files)}"])
 
 
 FmiVersion = Literal["3.0", "2.0"]
@@ -374,11 +349,9 @@ def fmu(
         f"{causality}s": sum(v.causality == causality for v in made.variables)
         for causality in ("input", "output", "parameter")
     }
-    if json:
-        print_json({"name": made.name, "file": str(out), "fmi": fmi, **counts})
-        return
     told = ", ".join(f"{count} {name if count != 1 else name[:-1]}" for name, count in counts.items())
-    table_console().print(f"written: {out}, FMI {fmi}: {told}")
+    document = {"name": made.name, "file": str(out), "fmi": fmi, **counts}
+    print_result(json, document, [f"written: {out}, FMI {fmi}: {told}"])
 
 
 RunOn = Literal["reference", "native", "wasm", "cortex-m7"]
@@ -417,44 +390,33 @@ def run_tests(
             covered.add(measure_coverage(tested, given.scenarios, given.dt, precision, given.integrator))
     every = [one for found in results.values() for one in found]
     if junit is not None:
-        _write(junit, to_junit(results))
+        write_text(junit, to_junit(results))
     if html is not None:
         page = importlib.import_module("twodof.report.report_page")  # matplotlib takes a second to load
-        _write(html, page.failed_tests_page(tested.name, every))
+        write_text(html, page.failed_tests_page(tested.name, every))
     enough = covered is None or 100.0 * covered.share >= (coverage_min or 0.0)
     passed = enough and all(one.passed for one in every)
-    if json:
-        files = {file: list(map(_plain, found)) for file, found in results.items()}
-        print_json({"passed": passed, "files": files, "coverage": covered and _plain_coverage(covered)})
-    else:
-        _print(results)
-        if covered is not None:
-            _print_coverage(covered)
-        if not enough:
-            table_console().print(f"  FAILED coverage: below {coverage_min:g} %")
-        for path in filter(None, (junit, html)):
-            table_console().print(f"written: {path}")
+    files = {file: list(map(_plain, found)) for file, found in results.items()}
+    document = {"passed": passed, "files": files, "coverage": covered and _plain_coverage(covered)}
+    lines = [*_result_lines(results), *([] if covered is None else _coverage_lines(covered))]
+    lines += [] if enough else [f"  FAILED coverage: below {coverage_min:g} %"]
+    lines += [f"written: {path}" for path in filter(None, (junit, html))]
+    print_result(json, document, lines)
     exit_unless(passed)
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_write(path, "w") as file:
-        file.write(text)
 
 
 def _plain(result: ScenarioResult) -> dict[str, Any]:
     return {"name": result.name, "passed": result.passed, "checks": [asdict(j) for j in result.judgements]}
 
 
-def _print(results: dict[str, list[ScenarioResult]]) -> None:
-    console = table_console()
+def _result_lines(results: dict[str, list[ScenarioResult]]) -> Iterator[RenderableType]:
     for file, found in results.items():
-        console.print(file)
+        yield file
         for result in found:
             for j in result.judgements:
-                console.print(f"  {'ok    ' if j.passed else 'FAILED'} {result.name}: {j.check}: {j.text}")
+                yield f"  {'ok    ' if j.passed else 'FAILED'} {result.name}: {j.check}: {j.text}"
     every = [one for found in results.values() for one in found]
-    console.print(f"{sum(one.passed for one in every)} of {len(every)} tests passed")
+    yield f"{sum(one.passed for one in every)} of {len(every)} tests passed"
 
 
 def _plain_coverage(covered: Coverage) -> dict[str, Any]:
@@ -465,17 +427,16 @@ def _plain_coverage(covered: Coverage) -> dict[str, Any]:
     return {"percent": 100.0 * covered.share, "sides": covered.sides, "decisions": rows}
 
 
-def _print_coverage(covered: Coverage) -> None:
-    console = table_console()
+def _coverage_lines(covered: Coverage) -> Iterator[RenderableType]:
     missing = covered.missing
-    console.print(
+    yield (
         f"coverage: {covered.sides - len(missing)} of the {covered.sides} sides of {len(covered.taken)} decisions were "
         f"taken, {100.0 * covered.share:.1f} %"
     )
     if missing:
-        console.print("never taken:")
+        yield "never taken:"
         rows = table("block", "where", "decision", "side")
         for decision, side in missing:
             place = decision.place or decision.kind
             rows.add_row(decision.path, place, decision.text, side)
-        console.print(rows)
+        yield rows

@@ -1,17 +1,17 @@
 """`twodof flash`: check a controller, compile it, say what it costs and what changes, and let it fly from now on."""
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from twodof.blocks.difference import Difference
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.connection import lease_refusals
-from twodof.cli.margins import print_margins
+from twodof.cli.margins import margin_lines
 from twodof.cli.options import Json, argument, flag, group, option
-from twodof.cli.output import exit_unless, print_fields, print_json, progress, table, table_console
+from twodof.cli.output import exit_unless, print_result, progress, table
 from twodof.compile.px4 import export as export_module
 from twodof.compile.px4.export import airframe_id
 from twodof.compile.px4.tree import check as check_module
@@ -67,83 +67,68 @@ def flash(
     url = DEFAULT_URL if to == FCU else to
     with lease_refusals(url), progress() as say:
         found = flash_controller(new, to, out, px4, precision, key, dry_run, force_unstable, say)
-    if json:
-        print_fields(
-            diagram=new.name,
-            template=found.template,
-            to=to,
-            precision=precision,
-            costs=found.costs.to_json(),
-            against=found.origin,
-            changes=found.changes.to_json(),
-            trial=found.trial.to_json(),
-            remarks=found.remarks,
-            warnings=found.warnings,
-            place=found.place,
-            flashed=not dry_run,
-        )
-        return
-    console = table_console()
-    console.print(f"{new.name} fits {found.template}; {precision}, {1.0 / PERIOD:g} Hz")
-    _print_costs(console, found.costs)
-    _print_trial(console, found.trial)
-    _print_changes(console, found.changes, found.origin)
-    for remark in found.remarks:
-        console.print(f"remark: {remark}")
-    for warning in found.warnings:
-        console.print(f"warning: {warning}")
+    document = {
+        "diagram": new.name,
+        "template": found.template,
+        "to": to,
+        "precision": precision,
+        **{key: getattr(found, key).to_json() for key in ("costs", "changes", "trial")},
+        "against": found.origin,
+        **{key: getattr(found, key) for key in ("remarks", "warnings", "place")},
+        "flashed": not dry_run,
+    }
     if dry_run:
-        console.print("nothing was flashed (--dry-run)")
+        ends = ["nothing was flashed (--dry-run)"]
+    elif to == PX4:
+        ends = [f"written: {found.place}, whose README.md says how to build it into PX4"]
     elif to == SIM:
-        console.print(f"flashed: {found.place}")
-        console.print("fly it: twodof simulate EXPERIMENT --controller flashed")
-    elif to != PX4:
-        console.print(f"flashed: {found.place}")
-        if to_json(new) != to_json(starter(STOCK[found.template])):
-            console.print(f"tune it: twodof parameters --url {url} {found.template}.NAME=VALUE")
+        ends = [f"flashed: {found.place}", "fly it: twodof simulate EXPERIMENT --controller flashed"]
     else:
-        console.print(f"written: {found.place}, whose README.md says how to build it into PX4")
+        own = to_json(new) != to_json(starter(STOCK[found.template]))
+        tune = f"tune it: twodof parameters --url {url} {found.template}.NAME=VALUE"
+        ends = [f"flashed: {found.place}", *[tune] * own]
+    lines = [
+        f"{new.name} fits {found.template}; {precision}, {1.0 / PERIOD:g} Hz",
+        *_cost_lines(found.costs),
+        *_trial_lines(found.trial),
+        *_change_lines(found.changes, found.origin),
+        *(f"remark: {remark}" for remark in found.remarks),
+        *(f"warning: {warning}" for warning in found.warnings),
+    ]
+    print_result(json, document, [*lines, *ends])
 
 
-def _print_costs(console: Console, cost: ControllerCosts) -> None:
-    console.print(
-        f"parameters {cost.parameters} bytes, states {cost.states} bytes, inputs {cost.inputs}, outputs {cost.outputs}"
-    )
+def _cost_lines(cost: ControllerCosts) -> Iterator[str]:
+    sizes = f"parameters {cost.parameters} bytes, states {cost.states} bytes"
+    yield f"{sizes}, inputs {cost.inputs}, outputs {cost.outputs}"
     if cost.m7 is None:
-        console.print(f"code: not measured for the Cortex-M7: {cost.m7_missing}")
+        yield f"code: not measured for the Cortex-M7: {cost.m7_missing}"
         return
     m7 = cost.m7
     stack = m7["stack_bytes_bound"]
-    console.print(
+    yield (
         f"on a Cortex-M7: {m7['flash_bytes']} bytes of code and constants, {m7['ram_bytes']} bytes of RAM, "
         f"{m7['stack_bytes_seen'] if stack is None else stack} bytes of stack"
     )
-    console.print(
-        f"  {m7['instructions_max']} instructions a step at most in {m7['steps']} steps, by {m7['compiler']}",
-        markup=False,
-    )
+    yield f"  {m7['instructions_max']} instructions a step at most in {m7['steps']} steps, by {m7['compiler']}"
 
 
-def _print_trial(console: Console, trial: TrialFlight) -> None:
-    if trial.unknown:
-        console.print(f"margins: not known: {trial.unknown}")
-    else:
-        print_margins(console, trial.margins)
+def _trial_lines(trial: TrialFlight) -> list[Any]:
+    lines = [f"margins: not known: {trial.unknown}"] if trial.unknown else margin_lines(trial.margins)
     seen = f"UNSTABLE: {trial.fault}" if trial.fault else "3 s with a small step, and no swing grows"
-    console.print(f"on the virtual rig: {seen}")
+    return [*lines, f"on the virtual rig: {seen}"]
 
 
-def _print_changes(console: Console, changes: Difference, origin: str) -> None:
+def _change_lines(changes: Difference, origin: str) -> Iterator[str]:
     if not changes:
-        console.print(f"nothing changes against {origin}")
+        yield f"nothing changes against {origin}"
         return
     rows = changes.changes
     counts = ", ".join(f"{sum(row.kind == kind for row in rows)} {kind}" for kind in ("changed", "added", "removed"))
-    console.print(f"changes against {origin} ({counts}):")
-    for row in rows[:_LINES]:
-        console.print(f"  {row}")
+    yield f"changes against {origin} ({counts}):"
+    yield from (f"  {row}" for row in rows[:_LINES])
     if len(rows) > _LINES:
-        console.print(f"  and {len(rows) - _LINES} more, which --json lists")
+        yield f"  and {len(rows) - _LINES} more, which --json lists"
 
 
 px4 = group("Make a module for PX4 of a diagram, and see whether a PX4 fits it.")
@@ -169,31 +154,29 @@ def export(
     The same diagram gives the same bytes. README.md in the folder says how it is built and started.
     """
     module = export_module(load_diagram(diagram), out_dir, log or (), prefix, force)
-    if json:
-        print_fields(
-            folder=str(out_dir),
-            module=module.names.module,
-            airframe=airframe_id(module.names),
-            parameters={row.name: row.path or None for row in module.parameters},
-            not_exported={kept.path: kept.reason for kept in module.kept},
-            reads=list(module.role.reads),
-            writes=list(module.role.writes),
-            stops=list(module.role.stops),
-            files=sorted(module.files),
-        )
-        return
-    console = table_console()
-    console.print(f"{out_dir}: module {module.names.module}, {len(module.files)} files")
+    role = {key: list(getattr(module.role, key)) for key in ("reads", "writes", "stops")}
+    document = {
+        "folder": str(out_dir),
+        "module": module.names.module,
+        "airframe": airframe_id(module.names),
+        "parameters": {row.name: row.path or None for row in module.parameters},
+        "not_exported": {kept.path: kept.reason for kept in module.kept},
+        **role,
+        "files": sorted(module.files),
+    }
     rows = table("parameter in PX4", "in the diagram")
     for row in module.parameters:
         element = "" if row.index is None else f"[{row.index}]"
         rows.add_row(row.name, f"{row.path}{element}" if row.path else "(the module's own)")
-    console.print(rows)
-    for kept in module.kept:
-        console.print(f"not in PX4: {kept.path}: {kept.reason}")
-    console.print(f"reads {', '.join(module.role.reads)}")
-    console.print(f"writes {', '.join(module.role.writes)}; stops {', '.join(module.role.stops)}")
-    console.print(f"next: twodof px4 check PX4_DIR {out_dir}; then README.md there")
+    lines: list[Any] = [
+        f"{out_dir}: module {module.names.module}, {len(module.files)} files",
+        rows,
+        *(f"not in PX4: {kept.path}: {kept.reason}" for kept in module.kept),
+        f"reads {', '.join(role['reads'])}",
+        f"writes {', '.join(role['writes'])}; stops {', '.join(role['stops'])}",
+        f"next: twodof px4 check PX4_DIR {out_dir}; then README.md there",
+    ]
+    print_result(json, document, lines)
 
 
 @px4.command()
@@ -207,13 +190,9 @@ def check(
     Nothing is written. Exit status 0: it fits, perhaps with warnings; 1: it does not.
     """
     found = check_module(px4_dir, out_dir)
-    if json:
-        rows = [{"level": r.level, "what": r.what, "where": r.where, "remedy": r.remedy} for r in found.rows]
-        print_json({"fits": found.fits, "module": found.module, "version": found.version, "findings": rows})
-    else:
-        console = table_console()
-        for row in found.rows:
-            console.print(f"{row.level}: {row.where}: {row.what} ({row.remedy})")
-        verdict = "fits" if found.fits else "does not fit"
-        console.print(f"{found.module} {verdict} {px4_dir}, version {found.version}")
+    rows = [{"level": r.level, "what": r.what, "where": r.where, "remedy": r.remedy} for r in found.rows]
+    lines = [f"{row.level}: {row.where}: {row.what} ({row.remedy})" for row in found.rows]
+    lines.append(f"{found.module} {'fits' if found.fits else 'does not fit'} {px4_dir}, version {found.version}")
+    document = {"fits": found.fits, "module": found.module, "version": found.version, "findings": rows}
+    print_result(json, document, lines)
     exit_unless(found.fits)

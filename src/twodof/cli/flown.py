@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from twodof.cli.options import option
-from twodof.cli.output import table_console
 from twodof.experiment.flight import Flight
 from twodof.flightlog.files import check_place, write_log
 from twodof.flightlog.log import FlightLog
@@ -44,13 +43,10 @@ def keep(flight: Flight, rig: str, out: Path | None, plot: Path | None, force: b
     }
 
 
-def print_checks(flight: Flight, *written: Path | None) -> None:
-    """Print the checks of a flight's data and the files that were written."""
-    console = table_console()
-    for check in flight.checks:
-        console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
-    for path in filter(None, written):
-        console.print(f"written: {path}")
+def check_lines(flight: Flight, *written: Path | None) -> list[str]:
+    """Return the checks of a flight's data and the files that were written."""
+    checks = [f"  {'ok    ' if one.passed else 'FAILED'} {one.name}: {one.seen}" for one in flight.checks]
+    return [*checks, *(f"written: {path}" for path in filter(None, written))]
 
 
 def draw(

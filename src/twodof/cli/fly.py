@@ -11,9 +11,9 @@ from typing import Annotated
 import typer
 
 from twodof.cli.connection import KeyOfDrone, SystemOfDrone, connect
-from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
+from twodof.cli.flown import Out, Plot, check_lines, check_places, keep
 from twodof.cli.options import Force, Json, argument, flag, option
-from twodof.cli.output import exit_unless, print_json, progress, say_line, table_console
+from twodof.cli.output import exit_unless, print_result, progress, say_line
 from twodof.errors import LinkLost
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.experiments import experiment as named_experiment
@@ -93,13 +93,11 @@ def fly(
         )
         machine = there.state.rig
         document = keep(flight, machine.name, out, plot, force)
-    if json:
-        flown = {"controller": stands.controller, "changed": stands.changed}
-        print_json(document | flown | {"virtual": machine.virtual, "reason": flight.reason or None})
-    else:
-        where = f"seed {flight.seed}, start x = {flight.x_start:+.3f} m"
-        table_console().print(f"{experiment} flown on {machine.name}, {where}")
-        print_checks(flight, out, plot)
+    document |= {"controller": stands.controller, "changed": stands.changed}
+    document |= {"virtual": machine.virtual, "reason": flight.reason or None}
+    where = f"seed {flight.seed}, start x = {flight.x_start:+.3f} m"
+    lines = [f"{experiment} flown on {machine.name}, {where}", *check_lines(flight, out, plot)]
+    print_result(json, document, lines)
     exit_unless(flight.good)
 
 

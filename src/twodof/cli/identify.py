@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 import typer
 
 from twodof.cli.options import Force, Json, argument, flag, option
-from twodof.cli.output import exit_unless, print_json, say_line, table_console
+from twodof.cli.output import exit_unless, print_result, say_line, table_console
 from twodof.cli.own_structure import NamedColumns, own_record, read_structure, with_reference
 from twodof.errors import DiagramError, LogError, ParameterError, listed
-from twodof.flightlog.atomic import atomic_write, check_free
+from twodof.flightlog.atomic import check_free, write_text
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.disturbance.disturbance_model import Disturbance
@@ -283,15 +283,10 @@ def _say(
     json: bool,
     converged: bool,
 ) -> None:
-    text, document = found.table(), json_text.loads(found.to_json())
-    document = {**about, **document}
+    document = {**about, **json_text.loads(found.to_json())}
     if out is not None:
-        with atomic_write(out, "w") as file:
-            json_text.dump(document, file, allow_nan=False)
-    if json:
-        print_json(document)
-    else:
-        table_console().print(text)
+        write_text(out, json_text.dumps(document, allow_nan=False))
+    print_result(json, document, [found.table()])
     if not converged:
         say_line("note: the search did not converge; try other first guesses with --value")
 

@@ -1,15 +1,17 @@
 """`twodof log info`, `plot`, `convert`, `recover` and `fetch`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
+
+from rich.console import RenderableType
 
 from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
 from twodof.calibrate import calibrate as calibrate_rig
 from twodof.cli.flown import draw, write_view
 from twodof.cli.options import Force, Json, argument, flag, group, option
-from twodof.cli.output import exit_unless, one_line, print_fields, print_json, progress, table, table_console
+from twodof.cli.output import exit_unless, one_line, print_json, print_result, progress, table, table_console
 from twodof.errors import LogError
 from twodof.flightlog.atomic import check_free
 from twodof.flightlog.contents import describe
@@ -17,7 +19,6 @@ from twodof.flightlog.files import check_folder, read_log
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import FOREIGN_FILES, PUBLIC_LOGS, find
-from twodof.flightlog.recovery import Recovered
 from twodof.flightlog.recovery import recover as recover_log
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
 from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
@@ -39,38 +40,40 @@ def info(
     log = read_log(file)
     found = describe(log)
     found["failsafe"] = [asdict(band) for band in failsafe_bands(log)]
-    if json:
-        print_json(found)
-        return
-    console = table_console()
-    console.print(f"{found['source']}: {found['span_s'][0]:.3f} to {found['span_s'][1]:.3f} s, {_experiment(found)}")
+    print_result(json, found, _contents_lines(log, found))
+
+
+def _contents_lines(log: FlightLog, found: dict[str, Any]) -> Iterator[RenderableType]:
+    yield f"{found['source']}: {found['span_s'][0]:.3f} to {found['span_s'][1]:.3f} s, {_experiment(found)}"
     channels = table("channel", "unit", "samples", "rate, Hz", "missing", "longest gap, ms", right=range(2, 6))
     for row in found["channels"]:
         rate = "on events" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
         gap = f"{1e3 * row['longest_gap_s']:.1f}" if row["gaps"] else ""
         channels.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
-    console.print(channels)
+    yield channels
     if found["modes_unclear"]:
-        console.print(f"modes unknown: {found['modes_unclear']}")
+        yield f"modes unknown: {found['modes_unclear']}"
     for name, counts in found["provenance"].get("left_out", {}).items():
-        console.print(f"left out of {name}: {', '.join(f'{count} {why}' for why, count in counts.items())}")
+        yield f"left out of {name}: {', '.join(f'{count} {why}' for why, count in counts.items())}"
     for start, end in found["armed_s"]:
-        console.print(f"thrust on: {start:.3f} to {end:.3f} s")
-    for line in _flown(log):
-        console.print(line, soft_wrap=True)
+        yield f"thrust on: {start:.3f} to {end:.3f} s"
+    yield from _flown(log)
     for band in found["failsafe"][:_ROWS]:
-        console.print(f"failsafe: {band['start']:.3f} to {band['stop']:.3f} s  {band['label']}")
-    for event in found["events"][:_ROWS]:
-        console.print(
-            f"{event['time']:10.3f} s  {event['kind']} {event['channel']}: {event['before']:g} to {event['after']:g}"
-        )
-    if len(found["events"]) > _ROWS:
-        console.print(f"... and {len(found['events']) - _ROWS} more events")
-    said = [*_status_texts(log)]
-    for line in said[:_ROWS]:
-        console.print(line, soft_wrap=True)
-    if len(said) > _ROWS:
-        console.print(f"... and {len(said) - _ROWS} more lines that the drone said")
+        yield f"failsafe: {band['start']:.3f} to {band['stop']:.3f} s  {band['label']}"
+    events = (
+        f"{one['time']:10.3f} s  {one['kind']} {one['channel']}: {one['before']:g} to {one['after']:g}"
+        for one in found["events"]
+    )
+    yield from _first(events, " events")
+    yield from _first(_status_texts(log), " lines that the drone said")
+
+
+def _first(lines: Iterable[str], more: str) -> Iterator[str]:
+    """Yield the first lines, and how many `more` there are."""
+    rows = [*lines]
+    yield from rows[:_ROWS]
+    if len(rows) > _ROWS:
+        yield f"... and {len(rows) - _ROWS} more{more}"
 
 
 def _flown(log: FlightLog) -> Iterator[str]:
@@ -134,13 +137,8 @@ def plot(
         _compare(files, target, names, align, window, force, json)
         return
     notes = draw(read_log(first), target, names, window, first.name, force)
-    if json:
-        print_json({"file": str(target), "notes": list(notes)})
-        return
-    console = table_console()
-    for note in notes:
-        console.print(f"note: {note}")
-    console.print(f"written: {target}")
+    lines = [*(f"note: {note}" for note in notes), f"written: {target}"]
+    print_result(json, {"file": str(target), "notes": list(notes)}, lines)
 
 
 def _compare(
@@ -161,18 +159,12 @@ def _compare(
     view = comparison_view(logs, align, window)
     steps = flight_steps(logs) if align is Align.step else {}
     write_view(view, target, force)
-    if json:
-        rows = {name: [step.to_json() for step in found] for name, found in steps.items()}
-        print_json({"file": str(target), "steps": rows})
-        return
-    console = table_console()
-    if steps:
-        heads = ("at, s", "step", "rise, s", "overshoot, %", f"settling ({SETTLED:.0%}), s", "peak", "peak |M|")
-        made = table("flight", *heads, right=(1, *range(3, 8)))
-        for row in step_rows(steps):
-            made.add_row(*row)
-        console.print(made)
-    console.print(f"written: {target}")
+    rows = {name: [step.to_json() for step in found] for name, found in steps.items()}
+    heads = ("at, s", "step", "rise, s", "overshoot, %", f"settling ({SETTLED:.0%}), s", "peak", "peak |M|")
+    made = table("flight", *heads, right=(1, *range(3, 8)))
+    for row in step_rows(steps):
+        made.add_row(*row)
+    print_result(json, {"file": str(target), "steps": rows}, [*[made] * bool(steps), f"written: {target}"])
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -198,12 +190,9 @@ def convert(
     log = convert_log(source, target, wide, force)
     left_out = [name for name in log.channels if name not in BY_MAT] if target.suffix.lower() == ".ulg" else []
     kept = [name for name in log.channels if name not in left_out]
-    if json:
-        print_json({"file": str(target), "channels": kept, "left_out": left_out})
-    else:
-        table_console().print(f"{target}: {len(kept)} channels")
-        if left_out:
-            table_console().print(f"left out, which ULog has no topic for: {', '.join(left_out)}", soft_wrap=True)
+    lacks = f"left out, which ULog has no topic for: {', '.join(left_out)}"
+    document = {"file": str(target), "channels": kept, "left_out": left_out}
+    print_result(json, document, [f"{target}: {len(kept)} channels", *[lacks] * bool(left_out)])
 
 
 @log.command()
@@ -228,24 +217,15 @@ def recover(
     # What was written is what is reported: it has to read back whole.
     samples = sum(len(channel) for channel in read_log(target).channels.values())
     start, end = found.log.span
-    if json:
-        kept = {"file": str(target), "samples": samples, "span_s": [start, end]}
-        told = {"lost_bytes": found.lost_bytes, "what": list(found.what), "unverified": list(found.unverified)}
-        print_json(kept | told)
-    else:
-        _print_recovered(found, target, samples, (start, end))
+    kept = {"file": str(target), "samples": samples, "span_s": [start, end]}
+    told = {"lost_bytes": found.lost_bytes, "what": list(found.what), "unverified": list(found.unverified)}
+    lines = [
+        f"{target}: {samples} samples from {start:.3f} to {end:.3f} s",
+        *_first(found.what or ["nothing was wrong with it"], ""),
+        f"{found.lost_bytes} bytes could not be used",
+    ]
+    print_result(json, kept | told, lines)
     exit_unless(not found.unverified)
-
-
-def _print_recovered(found: Recovered, target: Path, samples: int, span: tuple[float, float]) -> None:
-    start, end = span
-    console = table_console()
-    console.print(f"{target}: {samples} samples from {start:.3f} to {end:.3f} s", soft_wrap=True)
-    for line in found.what[:_ROWS] or ("nothing was wrong with it",):
-        console.print(line, soft_wrap=True)
-    if len(found.what) > _ROWS:
-        console.print(f"... and {len(found.what) - _ROWS} more")
-    console.print(f"{found.lost_bytes} bytes could not be used")
 
 
 @log.command()
@@ -262,7 +242,7 @@ def fetch(
     for name in names or (FOREIGN_FILES if foreign else PUBLIC_LOGS):
         found[name] = find(name, deadline)
         if not json:
-            table_console().print(f"{name}: {found[name]}", soft_wrap=True)
+            table_console().print(f"{name}: {found[name]}")
     if json:
         print_json({name: str(path) for name, path in found.items()})
 
@@ -284,18 +264,15 @@ def calibrate(
         found = calibrate_rig(folder, leave_one_out, report)
     if out is not None:
         save_rig(found.rig, out, force)
-    if json:
-        print_fields(
-            converged=found.converged,
-            rig=dict(found.rig.snapshot()),
-            estimate={name: {"value": value, "sigma": found.deviation[name]} for name, value in found.estimate.items()},
-            fit_percent={name: dict(fits) for name, fits in found.fit.items()},
-            left_out_fit_percent={name: dict(fits) for name, fits in found.left_out.items()},
-            ceiling_fit_percent={name: dict(fits) for name, fits in found.ceiling.items()},
-            file=None if out is None else str(out),
-        )
-    else:
-        _print(found, out)
+    fits = {"fit_percent": found.fit, "left_out_fit_percent": found.left_out, "ceiling_fit_percent": found.ceiling}
+    document = {
+        "converged": found.converged,
+        "rig": dict(found.rig.snapshot()),
+        "estimate": {name: {"value": value, "sigma": found.deviation[name]} for name, value in found.estimate.items()},
+        **{key: {name: dict(row) for name, row in rows.items()} for key, rows in fits.items()},
+        "file": None if out is None else str(out),
+    }
+    print_result(json, document, _calibration_lines(found, out))
     exit_unless(found.converged)
 
 
@@ -308,21 +285,20 @@ def _folder() -> Path:
     return folders.pop()
 
 
-def _print(found: Calibration, out: Path | None) -> None:
-    console = table_console()
+def _calibration_lines(found: Calibration, out: Path | None) -> Iterator[RenderableType]:
     values = table("unknown", "value", "1 sigma", "meaning")
     for unknown in UNKNOWNS:
         value, sigma = found.estimate[unknown.name], found.deviation[unknown.name]
         values.add_row(unknown.name, f"{value:.5g}", f"{sigma:.2g}", unknown.text)
-    console.print(values)
+    yield values
     fits = table("flight", "theta", "q", "x", "v", "")
     for flight in FLIGHTS:
         for word, fit in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
             if flight.name in fit:
                 row = fit[flight.name]
                 fits.add_row(flight.name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)
-    console.print("\nFIT, %:")
-    console.print(fits)
-    console.print("converged" if found.converged else "NOT converged: the best set seen is given")
+    yield "\nFIT, %:"
+    yield fits
+    yield "converged" if found.converged else "NOT converged: the best set seen is given"
     if out is not None:
-        console.print(f"written: {out}")
+        yield f"written: {out}"

@@ -1,18 +1,16 @@
 """Margins: `twodof margins`, `bode`, `rlocus` and `step` of a loop of your own, `diagram margins` of the cascade."""
 
 import importlib
-import json as json_text
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from rich.console import Console
 
-from twodof.cli.options import Force, Json, StockGains, argument, option, read_input
-from twodof.cli.output import exit_unless, print_json, progress, table, table_console
+from twodof.cli.options import Force, Json, StockGains, argument, option, read_json
+from twodof.cli.output import exit_unless, print_result, progress, table
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
 from twodof.design import LoopMargins, LoopTransfer, own_loop, read_rational, step_response
@@ -20,12 +18,12 @@ from twodof.design import margins as margins_of
 from twodof.errors import ParameterError, listed
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
-from twodof.models.lti import step_figures
+from twodof.models.lti import StepFigures, step_figures
 from twodof.report.plots.flight_view import PICTURES, check_place
 from twodof.sim.linear import LOOPS, cascade_margins
 from twodof.sim.resimulation import load_rig_or_model
 
-_TICK_S, _MAX_BYTES = 0.004, 1 << 24
+_TICK_S = 0.004
 
 Plant = Annotated[
     str,
@@ -46,125 +44,77 @@ Output = Annotated[str | None, option("Of a plant with several: the output that 
 Measured = Annotated[
     str | None, option("Of a controller's diagram with several inputs: the measured one, whose sign is turned.", "NAME")
 ]
-Picture = Annotated[Path | None, option(f"Draw it there ({', '.join(PICTURES)}).", "FILE")]
 
 
-def margins(
-    plant: Plant,
-    controller: Controller = "1",
-    period: Period = None,
-    input: Input = None,
-    output: Output = None,
-    measured: Measured = None,
-    plot: Annotated[
-        Path | None, option(f"Draw Bode, Nyquist, Nichols, sensitivities, step and root locus ({', '.join(PICTURES)}).")
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
+def _command(picture: str, about: str, drawn: str = "it there") -> Callable[..., None]:
+    """Return a command about a loop, with the help `about`; it draws the `picture`, in words what is `drawn`."""
+
+    def command(
+        plant: Plant,
+        controller: Controller = "1",
+        period: Period = None,
+        input: Input = None,
+        output: Output = None,
+        measured: Measured = None,
+        plot: Annotated[Path | None, option(f"Draw {drawn} ({', '.join(PICTURES)}).", "FILE")] = None,
+        force: Force = False,
+        json: Json = False,
+    ) -> None:
+        if plot is not None:
+            check_place(plot, force, PICTURES)
+        if period is not None and not 0.0 < period < float("inf"):
+            raise ParameterError(f"a period of {period:g} s", "--period", "give a time above 0")
+        own = _system(plant, period, "PLANT", input, output)
+        law = _system(controller, period or own.dt, "CONTROLLER", measured, None, negate=measured is not None)
+        found = margins_of(own_loop(own, law, period))
+        title = f"{_short(controller)} on {_short(plant)}"
+        document: dict[str, Any] = {"plant": plant, "controller": controller, "dt": found.loop.dt, **found.to_json()}
+        lines = [title + ("" if found.loop.dt is None else f", steps of {found.loop.dt:g} s")]
+        lines += margin_lines({"loop": found})
+        if picture == "step" and found.stable:
+            figures = _figures(found)
+            document["step"] = asdict(figures)
+            lines.append(
+                f"rise time {figures.rise_time:.3g} s, overshoot {100.0 * figures.overshoot:.1f} %, settling time "
+                f"{figures.settling_time:.3g} s (2 %), final value {figures.final:.4g}"
+            )
+        if plot is not None:
+            _draw({"loop": found}, plot, title, force, picture)
+            lines.append(f"written: {plot}")
+        print_result(json, document, lines)
+        exit_unless(found.stable)
+
+    command.__doc__ = about
+    return command
+
+
+margins = _command(
+    "all",
     """Say what may change before a loop of your own becomes unstable, at any sample time.
 
     A continuous plant is held over the steps of a sampled controller, exactly. A continuous controller of a sampled
     loop is taken by Tustin's rule. The drone's cascade: `twodof diagram margins`.
 
     Exit status 1: the loop is unstable.
-    """
-    _say(plant, controller, period, (input, output, measured), plot, force, json, "all")
+    """,
+    "Bode, Nyquist, Nichols, sensitivities, step and root locus",
+)
+bode = _command("bode", "Draw the Bode plot of a loop with its margins marked; arguments as of `twodof margins`.")
+rlocus = _command("rlocus", "Draw the root locus of a loop: the closed loop's poles for .02 to 20 times the gain.")
+step = _command("step", "Give rise time, overshoot and settling time of the closed loop, and draw its step response.")
 
 
-def bode(
-    plant: Plant,
-    controller: Controller = "1",
-    period: Period = None,
-    input: Input = None,
-    output: Output = None,
-    measured: Measured = None,
-    plot: Picture = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Draw the Bode plot of a loop with its margins marked; arguments as of `twodof margins`."""
-    _say(plant, controller, period, (input, output, measured), plot, force, json, "bode")
+def _figures(found: LoopMargins) -> StepFigures:
+    """Return the figures of the closed loop's step response."""
+    time, value = step_response(found)
+    at_rest = complex(found.loop.at(0.0 if found.loop.dt is None else 1.0)[0])
+    return step_figures(time, value, 0.0, 1.0 if not np.isfinite(at_rest) else (at_rest / (1.0 + at_rest)).real)
 
 
-def rlocus(
-    plant: Plant,
-    controller: Controller = "1",
-    period: Period = None,
-    input: Input = None,
-    output: Output = None,
-    measured: Measured = None,
-    plot: Picture = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Draw the root locus of a loop: the closed loop's poles for .02 to 20 times the gain."""
-    _say(plant, controller, period, (input, output, measured), plot, force, json, "rlocus")
-
-
-def step(
-    plant: Plant,
-    controller: Controller = "1",
-    period: Period = None,
-    input: Input = None,
-    output: Output = None,
-    measured: Measured = None,
-    plot: Picture = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Give rise time, overshoot and settling time of the closed loop, and draw its step response."""
-    _say(plant, controller, period, (input, output, measured), plot, force, json, "step")
-
-
-def _say(
-    plant: str,
-    controller: str,
-    period: float | None,
-    names: tuple[str | None, str | None, str | None],
-    plot: Path | None,
-    force: bool,
-    json: bool,
-    picture: str,
-) -> None:
-    if plot is not None:
-        check_place(plot, force, PICTURES)
-    if period is not None and not 0.0 < period < float("inf"):
-        raise ParameterError(f"a period of {period:g} s", "--period", "give a time above 0")
-    own = _system(plant, period, "PLANT", names[0], names[1])
-    law = _system(controller, period or own.dt, "CONTROLLER", names[2], None, negate=names[2] is not None)
-    found = margins_of(own_loop(own, law, period))
-    title = f"{_short(controller)} on {_short(plant)}"
-    document: dict[str, Any] = {"plant": plant, "controller": controller, "dt": found.loop.dt, **found.to_json()}
-    lines = []
-    if picture == "step" and found.stable:
-        time, value = step_response(found)
-        at_rest = complex(found.loop.at(0.0 if found.loop.dt is None else 1.0)[0])
-        final = 1.0 if not np.isfinite(at_rest) else (at_rest / (1.0 + at_rest)).real
-        figures = step_figures(time, value, 0.0, final)
-        document["step"] = asdict(figures)
-        lines.append(
-            f"rise time {figures.rise_time:.3g} s, overshoot {100.0 * figures.overshoot:.1f} %, settling time "
-            f"{figures.settling_time:.3g} s (2 %), final value {figures.final:.4g}"
-        )
-    if plot is not None:
-        # Only this reads matplotlib.
-        draw = importlib.import_module("twodof.report.plots.loop_plot").write_loop_plot
-        draw({"loop": found.loop}, plot, title, force, picture)
-        lines.append(f"written: {plot}")
-    if json:
-        print_json(document)
-    else:
-        _print(title, found, lines)
-    exit_unless(found.stable)
-
-
-def _print(title: str, found: LoopMargins, lines: list[str]) -> None:
-    console = table_console()
-    console.print(title + ("" if found.loop.dt is None else f", steps of {found.loop.dt:g} s"))
-    print_margins(console, {"loop": found})
-    for line in lines:
-        console.print(line)
+def _draw(found: Mapping[str, LoopMargins], plot: Path, title: str, force: bool, picture: str = "all") -> None:
+    """Draw loops, importing matplotlib only now."""
+    draw = importlib.import_module("twodof.report.plots.loop_plot").write_loop_plot
+    draw({name: m.loop for name, m in found.items()}, plot, title, force, picture)
 
 
 def _short(source: str) -> str:
@@ -177,10 +127,7 @@ def _system(
     """Return what a file or a text describes, from one input to one output. Raises ParameterError, DiagramError."""
     if not source.endswith(".json"):
         return read_rational(source).transfer(where, period)
-    try:
-        document = json_text.loads(read_input(source, _MAX_BYTES))
-    except (ValueError, RecursionError) as reason:
-        raise ParameterError(f"it is not JSON: {reason!s:.80}", source, "give a model or a diagram") from reason
+    document = read_json(source, "give a model or a diagram")
     if isinstance(document, dict) and "estimates" in document:
         if "linear" not in document:
             remedy = "identify it again with --out; a model that sticks at rest has no linear form"
@@ -233,31 +180,22 @@ def cascade_loops(
             say(f"margins of the {name} loop", k / len(wanted))
             found |= cascade_margins(stock, flown, values, [name])
     names = ", ".join(d.name for d in flown) or f"the stock cascade ({gains})"
+    lines = [f"{names} on {rig}", *margin_lines(found)]
     if plot is not None:
-        # Only this reads matplotlib.
-        draw = importlib.import_module("twodof.report.plots.loop_plot").write_loop_plot
-        draw({name: m.loop for name, m in found.items()}, plot, f"{names} on {rig}", force)
-    if json:
-        print_json({"rig": rig, "loops": {name: m.to_json() for name, m in found.items()}})
-    else:
-        console = table_console()
-        console.print(f"{names} on {rig}")
-        print_margins(console, found)
-        if plot is not None:
-            console.print(f"written: {plot}")
+        _draw(found, plot, f"{names} on {rig}", force)
+        lines.append(f"written: {plot}")
+    print_result(json, {"rig": rig, "loops": {name: m.to_json() for name, m in found.items()}}, lines)
     exit_unless(all(m.stable for m in found.values()))
 
 
-def print_margins(console: Console, found: Mapping[str, LoopMargins]) -> None:
-    """Print a row for each loop, then the motion of each unstable loop."""
+def margin_lines(found: Mapping[str, LoopMargins]) -> list[Any]:
+    """Return a table with a row for each loop, then the motion of each unstable loop."""
     margins = ("gain margin\ndB", "phase margin\ndeg", "delay margin\nms", "disk margin\ndB and deg", "Ms", "Mt")
     made = table("loop", "crossover\nrad/s", *margins, "bandwidth\nrad/s", right=range(1, 9))
     for name, m in found.items():
         made.add_row(name, *(_cells(m) if m.stable else ("unstable", *[""] * 7)))
-    console.print(made)
-    for name, m in found.items():
-        if not m.stable and m.motion is not None:
-            console.print(f"{name}: unstable: {m.motion.text}{_cure(m)}")
+    moving = {name: m for name, m in found.items() if not m.stable and m.motion is not None}
+    return [made, *(f"{name}: unstable: {m.motion.text}{_cure(m)}" for name, m in moving.items() if m.motion)]
 
 
 def _cells(m: LoopMargins) -> tuple[str, ...]:

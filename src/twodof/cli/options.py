@@ -1,5 +1,6 @@
 """Options and inputs that several commands share: one name, one meaning, one help line."""
 
+import json
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from twodof.blocks.noise import SEEDS
-from twodof.errors import LogError
+from twodof.errors import LogError, ParameterError
 
 
 def argument(text: str, metavar: str | None = None, **more: Any) -> Any:
@@ -81,3 +82,14 @@ def read_input(source: str | Path, most: int) -> bytes:
     if len(content) > most:
         raise LogError(f"has more than {most} bytes", where, "check that it is the right file")
     return content
+
+
+_MAX_JSON_BYTES = 1 << 24
+
+
+def read_json(source: str | Path, remedy: str) -> Any:
+    """Return the JSON of a file, or of standard input for "-". Raises LogError, ParameterError with the `remedy`."""
+    try:
+        return json.loads(read_input(source, _MAX_JSON_BYTES))
+    except (ValueError, RecursionError) as reason:
+        raise ParameterError(f"it is not JSON: {reason!s:.80}", str(source), remedy) from reason

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
@@ -46,9 +46,14 @@ def exit_unless(good: bool) -> None:
         raise typer.Exit(1)
 
 
-def print_fields(**fields: Any) -> None:
-    """Print one JSON document with these fields."""
-    print_json(fields)
+def print_result(json: bool, document: Any, lines: Iterable[RenderableType]) -> None:
+    """Print the result of a command: with `json` the document, else the lines, which may be tables."""
+    if json:
+        print_json(document)
+        return
+    console = table_console()
+    for line in lines:
+        console.print(line)
 
 
 def say_line(text: object) -> None:

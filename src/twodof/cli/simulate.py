@@ -1,18 +1,18 @@
 """`twodof simulate`: fly a ready-made experiment, or a log's set-points, on a virtual rig."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from twodof.blocks import Diagram
 from twodof.calibrate import estimate_charge
-from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
+from twodof.cli.flown import Out, Plot, check_lines, check_places, keep
 from twodof.cli.options import Force, Json, Precision, RealType, Rig, argument, option
-from twodof.cli.output import exit_unless, one_line, print_json, say_line, table, table_console
+from twodof.cli.output import exit_unless, one_line, print_result, say_line, table
 from twodof.errors import ParameterError
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.experiments import experiment as named_experiment
@@ -128,21 +128,19 @@ def _fly_like(
     found = estimate_charge(flight, loop, values) if given is None else None
     share = given if found is None else found.charge
     result = flight.compare(loop, values, {"charge_start": share})
-    if json:
-        print_json(result.to_json() | ({} if found is None else {"charge": asdict(found)}))
-        return
-    console = table_console()
     fits = table("channel", "FIT, %", right=[1])
     for channel, fit in result.fit.items():
         # In the rings x and v stand still, and a FIT of what stands still says nothing.
         still = channel in ("x", "v") and not result.flight.rails
         fits.add_row(channel, "–" if still else f"{fit:.1f}")
-    console.print(fits)
     stretches = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
-    console.print(f"rig {rig}, without noise; compared: {stretches}")
+    lines: list[Any] = [fits, f"rig {rig}, without noise; compared: {stretches}"]
+    document = result.to_json()
     if found is not None:
+        document |= {"charge": asdict(found)}
         sure = "at its bound" if found.at_bound else f"+- {found.deviation:.2f} (1 sigma)"
-        console.print(f"charge, from the compared flight itself: {found.charge:.2f} {sure}")
+        lines.append(f"charge, from the compared flight itself: {found.charge:.2f} {sure}")
+    print_result(json, document, lines)
 
 
 def _controllers(named: list[str]) -> list[Diagram]:
@@ -192,20 +190,17 @@ def _fly(
     flight = laboratory.fly(named_experiment(experiment), seed)
     rig, controllers = laboratory.rig_name, laboratory.described_controllers()
     document = keep(flight, rig, out, plot, force)
-    if json:
-        print_json(document | {"controllers": controllers, "precision": laboratory.precision})
-    else:
-        console = table_console()
-        console.print(f"{experiment} on the rig {rig}, seed {seed}, start x = {flight.x_start:+.3f} m")
-        for kind, made in controllers.items():
-            console.print(f"{kind}: {made['name']}, in place of the stock one; its parameters:")
-            _print_parameters(console, laboratory, kind)
-        print_checks(flight, out, plot)
+    lines = [f"{experiment} on the rig {rig}, seed {seed}, start x = {flight.x_start:+.3f} m"]
+    for kind, made in controllers.items():
+        lines.append(f"{kind}: {made['name']}, in place of the stock one; its parameters:")
+        lines += _parameter_lines(laboratory, kind)
+    document |= {"controllers": controllers, "precision": laboratory.precision}
+    print_result(json, document, lines + check_lines(flight, out, plot))
     exit_unless(flight.good)
 
 
-def _print_parameters(console: Console, laboratory: Laboratory, kind: str) -> None:
-    """Print a controller's described parameters with value, bounds and unit, and count the others."""
+def _parameter_lines(laboratory: Laboratory, kind: str) -> Iterator[str]:
+    """Yield a controller's described parameters with value, bounds and unit, and the count of the others."""
     everything = laboratory.loop.controller_parameters()
     rows = {path: row for path, row in everything.items() if path.startswith(f"{kind}.")}
     shown = {path: row for path, row in rows.items() if row[0].text}
@@ -213,9 +208,9 @@ def _print_parameters(console: Console, laboratory: Laboratory, kind: str) -> No
         numbers = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list) else f"{value:.6g}"
         bounds = f"{declared.low:g} to {declared.high:g}"
         unit = f" {declared.unit}" if declared.unit else ""
-        console.print(f"  {path} = {numbers}{unit} ({bounds}): {declared.text}")
+        yield f"  {path} = {numbers}{unit} ({bounds}): {declared.text}"
     if len(rows) > len(shown):
-        console.print(f"  and {len(rows) - len(shown)} more without a description; --json lists them")
+        yield f"  and {len(rows) - len(shown)} more without a description; --json lists them"
 
 
 # The right gains leave less than 1e-5, in float32 too; a gain that is 1 % off leaves some 1e-2 of its loop's output.
@@ -247,14 +242,10 @@ def replay(
         say_line(f"note: the failsafe acted, whose set-points are not in the log: {what}")
     elif any(difference > _OTHER_GAINS for difference in result.nrms.values()):
         say_line(f"note: not the gains it was flown with? these are: {gains}; --gains takes others")
-    if json:
-        print_json(result.to_json())
-        return
-    console = table_console()
     rows = table("channel", "nrms", "coverage, %", right=(1, 2))
     for channel, share in result.coverage.items():
         difference = result.nrms.get(channel)
         rows.add_row(channel, "-" if difference is None else f"{difference:.2e}", f"{100.0 * share:.1f}")
-    console.print(rows)
     windows = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
-    console.print(f"{precision}, gains {gains}; compared: {windows or 'nothing, no loop was active'}")
+    last = f"{precision}, gains {gains}; compared: {windows or 'nothing, no loop was active'}"
+    print_result(json, result.to_json(), [rows, last])

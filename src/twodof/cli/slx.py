@@ -1,15 +1,19 @@
 """`twodof slx`: look into Simulink files, draw them, compare two and import one, without MATLAB."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
+from rich.console import RenderableType
+from rich.text import Text
+
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.options import Force, Json, argument, flag, group, option
-from twodof.cli.output import exit_unless, one_line, print_fields, table, table_console
-from twodof.flightlog.atomic import atomic_write
+from twodof.cli.output import exit_unless, one_line, print_result, table, table_console
+from twodof.errors import printable
+from twodof.flightlog.atomic import write_text
 from twodof.flightlog.files import check_folder
 from twodof.slx.difference import ModelDifference, difference
 from twodof.slx.importer import Imported, import_system
@@ -34,19 +38,12 @@ def inspect(
 ) -> None:
     """Say what a model holds: release, solver, sample times, blocks, libraries, code, and the names that it needs."""
     found = inspect_model(read_model(model), [model.parent, *(path or [])])
-    if json:
-        print_fields(
-            name=found.model.name,
-            kind=found.model.kind,
-            release=found.model.release,
-            version=found.model.version,
-            solver=found.model.solver,
-            callbacks=found.model.callbacks,
-            **{key: value for key, value in vars(found).items() if key not in ("model", "libraries")},
-            libraries=[{**asdict(one), "file": None if one.file is None else str(one.file)} for one in found.libraries],
-        )
-    else:
-        _print_inspection(found)
+    document = {
+        **{key: getattr(found.model, key) for key in ("name", "kind", "release", "version", "solver", "callbacks")},
+        **{key: value for key, value in vars(found).items() if key not in ("model", "libraries")},
+        "libraries": [{**asdict(one), "file": None if one.file is None else str(one.file)} for one in found.libraries],
+    }
+    print_result(json, document, _inspection_lines(found))
 
 
 Subsystem = Annotated[str, option("Only this subsystem: Controller/PID.", "PATH")]
@@ -80,34 +77,29 @@ def import_(
     folders = [model.parent, *(path or [])]
     found = import_system(read_model(model), subsystem, names, folders, dt)
     if found.diagram is not None and out is not None:
-        with atomic_write(out, "w") as stream:
-            stream.write(to_json(found.diagram))
-    if json:
-        report = [asdict(line) for line in found.report]
-        print_fields(fine=found.diagram is not None, dt=found.dt, report=report, notes=[*notes, *found.notes])
-    else:
-        _print_import(found, notes, out)
+        write_text(out, to_json(found.diagram))
+    notes += found.notes
+    report = [asdict(line) for line in found.report]
+    document = {"fine": found.diagram is not None, "dt": found.dt, "report": report, "notes": notes}
+    print_result(json, document, _import_lines(found, notes, out))
     exit_unless(found.diagram is not None)
 
 
-def _print_import(found: Imported, notes: Sequence[str], out: Path | None) -> None:
-    console = table_console()
-    for note in (*notes, *found.notes):
-        console.print(f"note: {one_line(note)}")
+def _import_lines(found: Imported, notes: Sequence[str], out: Path | None) -> Iterator[RenderableType]:
+    yield from (f"note: {one_line(note)}" for note in notes)
     rows = table("", "", "", "", show_header=False)
     for line in found.report:
         if line.status != "imported":
             rows.add_row(line.status, one_line(line.path), line.kind, one_line(line.why))
-    console.print(rows)
+    yield rows
     counts = Counter(line.status for line in found.report)
-    console.print(", ".join(f"{count} {status}" for status, count in counts.items()) + f"; period {found.dt:g} s")
+    yield ", ".join(f"{count} {status}" for status, count in counts.items()) + f"; period {found.dt:g} s"
     if found.diagram is not None and out is not None:
-        console.print(f"written: {out}")
+        yield f"written: {out}"
 
 
-def _print_inspection(found: Inspection) -> None:
+def _inspection_lines(found: Inspection) -> Iterator[RenderableType]:
     model = found.model
-    console = table_console()
     rows = table("", "", show_header=False)
     saved = f"saved by {model.release}" if model.release else "of an unknown release"
     rows.add_row(model.kind, f"{model.name}, version {model.version or '?'}, {saved}")
@@ -135,13 +127,13 @@ def _print_inspection(found: Inspection) -> None:
         rows.add_row("commented out", f"{found.commented} blocks")
     if found.loose:
         rows.add_row("loose lines", f"{found.loose}: they lack a beginning or an end")
-    console.print(rows)
+    yield rows
     if found.names:
-        console.print("\nnames that the model takes from the workspace:")
+        yield "\nnames that the model takes from the workspace:"
         names = table("", "", show_header=False)
         for name, paths in found.names.items():
             names.add_row(name, "; ".join(map(one_line, paths)))
-        console.print(names)
+        yield names
 
 
 def _library(library: Library) -> str:
@@ -168,8 +160,7 @@ def draw(
         pictures = {out / sheet_name(read, path): path for path in paths}
     for file, path in pictures.items():
         check_folder(file, force)
-        with atomic_write(file, "w") as stream:
-            stream.write(sheet_svg(read, path))
+        write_text(file, sheet_svg(read, path))
     first = next(iter(pictures))
     more = len(pictures) - 1
     table_console().print(f"written: {first}" + (f" and {more} subsystem{'s' if more > 1 else ''}" if more else ""))
@@ -187,30 +178,25 @@ def diff(
     Exit status 0 if nothing but looks (places, colours) differs, else 1.
     """
     found = difference(read_model(before), read_model(after))
-    if json:
-        print_fields(equal=found.equal, **vars(found))
-    elif not quiet:
-        _print_difference(found)
+    if json or not quiet:
+        print_result(json, {"equal": found.equal, **vars(found)}, _difference_lines(found))
     exit_unless(found.equal)
 
 
-def _print_difference(found: ModelDifference) -> None:
-    console = table_console()
-    for path, kind in found.added:
-        console.print(f"+ {one_line(path)} ({kind})", style="green")
-    for path, kind in found.removed:
-        console.print(f"- {one_line(path)} ({kind})", style="red")
+def _difference_lines(found: ModelDifference) -> Iterator[RenderableType]:
+    for sign, rows, colour in (("+", found.added, "green"), ("-", found.removed, "red")):
+        for path, kind in rows:
+            yield Text(printable(f"{sign} {one_line(path)} ({kind})"), colour)
     for was, path in found.renamed:
-        console.print(f"= {one_line(was)} is now {one_line(path)}")
+        yield f"= {one_line(was)} is now {one_line(path)}"
     for path, name, was, now in found.values:
-        console.print(f"~ {one_line(path)}: {name} {one_line(was) or '(default)'} -> {one_line(now) or '(default)'}")
+        yield f"~ {one_line(path)}: {name} {one_line(was) or '(default)'} -> {one_line(now) or '(default)'}"
     for path, wire, new in found.wires:
-        console.print(f"{'+' if new else '-'} wire {one_line(wire)}{f' in {one_line(path)}' if path else ''}")
+        yield f"{'+' if new else '-'} wire {one_line(wire)}{f' in {one_line(path)}' if path else ''}"
     for name, lines in found.code:
-        console.print(f"~ {one_line(name)}:")
-        for line in lines:
-            console.print(f"    {line}")
+        yield f"~ {one_line(name)}:"
+        yield from (f"    {line}" for line in lines)
     if found.equal:
-        console.print("no difference" + (f" but the looks of {found.looks} blocks" if found.looks else ""))
+        yield "no difference" + (f" but the looks of {found.looks} blocks" if found.looks else "")
     elif found.looks:
-        console.print(f"(and the looks of {found.looks} blocks)")
+        yield f"(and the looks of {found.looks} blocks)"

@@ -92,6 +92,12 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
     sync_folder(target.parent)
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file as `atomic_write` does. Raises LogError."""
+    with atomic_write(path, "w") as file:
+        file.write(text)
+
+
 def make_folder(folder: Path) -> None:
     """Make `folder` and its missing parents, and sync them to the disk. Raises OSError, LogError."""
     missing = [one for one in (folder, *folder.parents) if not one.exists()]
