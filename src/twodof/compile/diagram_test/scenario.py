@@ -8,10 +8,11 @@ from io import StringIO
 from itertools import pairwise
 from math import inf, pi
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, Strict
 
 from twodof.blocks.elementary.functions import sin
 from twodof.blocks.enumeration import Enumeration
@@ -21,6 +22,7 @@ from twodof.errors import DiagramError, listed, nearest, shown
 from twodof.flightlog.text_file import separator_of, text_of
 
 Array = NDArray[np.float64]
+Number = Annotated[float, Strict()]
 Between = Literal["hold", "interpolate"]
 BETWEEN: tuple[Between, ...] = ("hold", "interpolate")
 MAX_TIME = 1e9
@@ -29,6 +31,10 @@ MAX_HZ = 1e9
 
 INPUT, OUTPUT = "input ", "output "
 """Prefixes of a column's name, for a diagram with an input and an output of the same name."""
+
+
+_KEYS = ConfigDict(extra="forbid")
+"""A file of tests gives a signal's fields by their aliases, and no others."""
 
 
 class InputSignal(Protocol):
@@ -42,9 +48,10 @@ class InputSignal(Protocol):
 class StepInput:
     """Step from the value `before` to the value `to`, at the first tick at or after `at` [s]."""
 
-    to: float
-    at: float = 0.0
-    before: float = 0.0
+    __pydantic_config__: ClassVar[ConfigDict] = _KEYS
+    to: Annotated[Number, Field(alias="step")]
+    at: Number = 0.0
+    before: Annotated[Number, Field(alias="from")] = 0.0
 
     def __post_init__(self) -> None:
         _check_finite("step", self.to, self.at, self.before)
@@ -58,10 +65,11 @@ class StepInput:
 class RampInput:
     """Ramp: the value `before` until `start` [s], then a change by `slope` [1/s] until `stop` [s]."""
 
-    slope: float
-    start: float = 0.0
-    stop: float = inf
-    before: float = 0.0
+    __pydantic_config__: ClassVar[ConfigDict] = _KEYS
+    slope: Annotated[Number, Field(alias="ramp")]
+    start: Number = 0.0
+    stop: Number = inf
+    before: Annotated[Number, Field(alias="from")] = 0.0
 
     def __post_init__(self) -> None:
         _check_finite("ramp", self.slope, self.start, self.before)
@@ -82,10 +90,11 @@ class RampInput:
 class SineInput:
     """Sine: offset + amplitude sin(2 pi hz t + phase), `phase` in rad."""
 
-    amplitude: float
-    hz: float
-    phase: float = 0.0
-    offset: float = 0.0
+    __pydantic_config__: ClassVar[ConfigDict] = _KEYS
+    amplitude: Annotated[Number, Field(alias="sine")]
+    hz: Number
+    phase: Number = 0.0
+    offset: Number = 0.0
 
     def __post_init__(self) -> None:
         _check_finite("sine", self.amplitude, self.hz, self.phase, self.offset)
@@ -109,7 +118,8 @@ class PointsInput:
     Between two points the value is that of the first ("hold"), or on the line through both ("interpolate").
     """
 
-    points: Sequence[tuple[float, float]]
+    __pydantic_config__: ClassVar[ConfigDict] = _KEYS
+    points: Sequence[tuple[Number, Number]]
     between: Between
 
     def __post_init__(self) -> None:
@@ -121,7 +131,7 @@ class PointsInput:
     def values(self, steps: int, dt: float, whole: bool = False) -> Array:
         """Return the values at the ticks 0 .. steps - 1."""
         rows = np.array(self.points, dtype=float)
-        return between_rows(rows[:, 0] / dt, rows[:, 1], steps, "hold" if whole else self.between)
+        return between_rows(_whole_ticks(rows[:, 0] / dt), rows[:, 1], steps, "hold" if whole else self.between)
 
 
 def _check_finite(what: str, *given: float) -> None:
@@ -144,17 +154,10 @@ def _whole_ticks(ticks: Array) -> Array:
 
 def between_rows(ticks: Array, values: Array, steps: int, between: Between) -> Array:
     """Return values at the ticks 0 .. steps - 1 from rows at increasing `ticks`; the outer rows hold beyond them."""
-    ticks, k = _whole_ticks(ticks), np.arange(steps, dtype=float)
-    left = np.clip(np.searchsorted(ticks, k, side="right") - 1, 0, None)
-    if between == "hold":
-        return values[left]
-    right = np.minimum(left + 1, len(ticks) - 1)
-    gap = np.where(right > left, ticks[right] - ticks[left], 1.0)
-    share = np.clip((k - ticks[left]) / gap, 0.0, 1.0)
-    with np.errstate(invalid="ignore", over="ignore"):
-        lines = values[left] + (values[right] - values[left]) * share
-    found: Array = np.where((share == 0.0) | (right == left), values[left], lines)
-    return found
+    k = np.arange(steps, dtype=float)
+    if between == "interpolate":
+        return np.asarray(np.interp(k, ticks, values), dtype=np.float64)
+    return values[np.clip(np.searchsorted(ticks, k, side="right") - 1, 0, None)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,36 +195,35 @@ class SignalTable:
 
 
 def table_of(columns: Mapping[str, Sequence[Any]], name: str = "table") -> SignalTable:
-    """Return the table with these columns, the first of them "time" [s] or "tick"; a cell that is None is empty.
-
-    A unit in a column's name, as in `theta [rad]`, is not read. Raises DiagramError for columns of different lengths,
-    and for times that do not increase.
-    """
-    cells = {re.sub(r"\s*\s\[[^\]]*\]$", "", head.strip()): list(map(_cell, one)) for head, one in columns.items()}
-    first = next(iter(cells), "")
-    if first not in ("time", "tick"):
-        raise DiagramError(f"the first column is {shown(first)}", name, 'name it "time" (seconds) or "tick"')
-    if len({len(one) for one in cells.values()}) > 1 or len(cells) < len(columns):
-        raise DiagramError("two columns share a name, or their lengths differ", name, "an empty cell may be None")
-    clock = cells.pop(first)
-    at = np.array([c if isinstance(c, float) else np.nan for c in clock])
-    ticks = first == "tick"
-    rising = len(at) and at[0] >= 0.0 and (np.diff(at) > 0.0).all() and at[-1] <= MAX_TIME
-    if not rising or (ticks and (at != np.rint(at)).any()):
-        what = f"the column {first} does not increase from 0 on to at most {MAX_TIME:g}"
-        raise DiagramError(what, name, "sort the rows, each time once; ticks are whole")
-    return SignalTable(name, at, ticks, cells)
+    """Return the table with these columns. Raises DiagramError for different lengths, and as `table_of_rows` does."""
+    if len(set(map(len, columns.values()))) > 1:
+        raise DiagramError("the lengths of the columns differ", name, "an empty cell may be None")
+    return table_of_rows(list(columns), list(zip(*columns.values(), strict=True)), name)
 
 
 def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str = "table") -> SignalTable:
-    """Return the table with these heads and rows. Raises DiagramError as `table_of` does."""
+    """Return the table with these heads and rows; the first column is "time" [s] or "tick", and None an empty cell.
+
+    A unit in a head, as in `theta [rad]`, is not read. Raises DiagramError for a row of another length, for two columns
+    of one name, and for times that do not increase.
+    """
     for i, row in enumerate(rows, 1):
         if len(row) != len(heads):
             what = f"{len(row)} cells for {len(heads)} columns"
             raise DiagramError(what, f"{name}, row {i}", "fill each column; empty is allowed")
-    if len(set(heads)) < len(heads):
+    names = [re.sub(r"\s*\s\[[^\]]*\]$", "", head.strip()) for head in heads]
+    if len(set(names)) < len(names):
         raise DiagramError("two columns have the same name", name, "give each column its own name")
-    return table_of({head: [row[j] for row in rows] for j, head in enumerate(heads)}, name)
+    cells = {one: [_cell(row[j]) for row in rows] for j, one in enumerate(names)}
+    first = next(iter(cells), "")
+    if first not in ("time", "tick"):
+        raise DiagramError(f"the first column is {shown(first)}", name, 'name it "time" (seconds) or "tick"')
+    at = np.array([cell if isinstance(cell, float) else np.nan for cell in cells.pop(first)])
+    rising = len(at) and at[0] >= 0.0 and (np.diff(at) > 0.0).all() and at[-1] <= MAX_TIME
+    if not rising or (first == "tick" and (at != np.rint(at)).any()):
+        what = f"the column {first} does not increase from 0 on to at most {MAX_TIME:g}"
+        raise DiagramError(what, name, "sort the rows, each time once; ticks are whole")
+    return SignalTable(name, at, first == "tick", cells)
 
 
 def _cell(cell: Any) -> float | str | None:

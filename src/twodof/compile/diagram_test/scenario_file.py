@@ -1,13 +1,12 @@
 """Scenarios in a TOML file."""
 
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from twodof.blocks.declarations import NAME, located
 from twodof.compile.diagram_test.assertions import assertion
@@ -43,32 +42,7 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
-M = TypeVar("M", bound=_Model)
-
-
-class _Step(_Model):
-    step: float
-    at: float = 0.0
-    before: float = Field(0.0, alias="from")
-
-
-class _Ramp(_Model):
-    ramp: float
-    start: float = 0.0
-    stop: float = inf
-    before: float = Field(0.0, alias="from")
-
-
-class _Sine(_Model):
-    sine: float
-    hz: float
-    phase: float = 0.0
-    offset: float = 0.0
-
-
-class _Points(_Model):
-    points: list[Annotated[tuple[float, float], Strict(False)]]  # in TOML a pair is a list
-    between: Between
+M = TypeVar("M")
 
 
 class _Csv(_Model):
@@ -103,19 +77,23 @@ class _File(_Model):
     test: list[dict[str, Any]] = Field(min_length=1)
 
 
+_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+
+
 def _read(model: type[M], given: Any, where: str) -> M:
     """Return `given` as `model`. Raises DiagramError with the key that is unknown, missing or wrong."""
     try:
-        return model.model_validate(given)
+        with located(where, keep=True):
+            return TypeAdapter(model).validate_python(given)
     except ValidationError as error:
         # A misspelt key is missing too: say first how it is spelt. The deepest place is the most exact one.
-        wrong = min(error.errors(), key=lambda one: (one["type"] != "extra_forbidden", -len(one["loc"])))
+        wrong = min(error.errors(), key=lambda one: (one["type"] not in _UNKNOWN_KEY, -len(one["loc"])))
         place = ".".join(str(part + 1 if isinstance(part, int) else part) for part in wrong["loc"])
-        keys = [field.alias or name for name, field in model.model_fields.items()]
+        keys = list(TypeAdapter(model).json_schema()["properties"])
         what, remedy = f"{wrong['msg']} (given: {shown(wrong['input'])})", "correct it there"
         if wrong["type"] == "missing":
             what, remedy = "it is missing", f"keys: {listed(keys)}"
-        elif wrong["type"] == "extra_forbidden":
+        elif wrong["type"] in _UNKNOWN_KEY:
             what, remedy = "there is no such key", f"keys: {nearest(place, keys)}"
         raise DiagramError(what, f"{where}, {place:.200}", remedy) from error
 
@@ -166,13 +144,14 @@ def _parameters(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
             yield prefix + key, value
 
 
-_SIGNALS: Mapping[str, tuple[type[_Model], Callable[..., InputSignal]]] = {
-    "step": (_Step, StepInput),
-    "ramp": (_Ramp, RampInput),
-    "sine": (_Sine, SineInput),
-    "points": (_Points, PointsInput),
+_SIGNALS: Mapping[str, type[Any]] = {
+    "step": StepInput,
+    "ramp": RampInput,
+    "sine": SineInput,
+    "points": PointsInput,
+    "csv": _Csv,
 }
-"""Keys and class of a signal, with its fields in the same order, by the first key."""
+"""Type of a signal's table, by its first key."""
 
 
 def _input(value: Any, where: str, folder: Path) -> InputValue:
@@ -185,28 +164,19 @@ def _input(value: Any, where: str, folder: Path) -> InputValue:
             return float(value)
         except OverflowError as error:
             raise DiagramError("a number is too large", where, "write one that a float64 holds") from error
-    kinds = (*_SIGNALS, "csv")
-    kind = next((k for k in kinds if isinstance(value, dict) and k in value), "")
-    if not kind:
-        what, remedy = f"{shown(value)} is not a signal", f"give a number, or a table with one of {', '.join(kinds)}"
-        raise DiagramError(what, where, remedy)
-    if kind == "csv":
-        return _column(_read(_Csv, value, where), where, folder)
-    model, signal = _SIGNALS[kind]
-    given = _read(model, value, where)
+    kind = next((one for one in _SIGNALS if isinstance(value, dict) and one in value), None)
+    if kind is None:
+        remedy = f"give a number, or a table with one of {', '.join(_SIGNALS)}"
+        raise DiagramError(f"{shown(value)} is not a signal", where, remedy)
+    signal: InputSignal | _Csv = _read(_SIGNALS[kind], value, where)
+    if not isinstance(signal, _Csv):
+        return signal
     with located(where, keep=True):
-        return signal(*dict(given).values())
-
-
-def _column(given: _Csv, where: str, folder: Path) -> PointsInput:
-    """Return the points in a column of a CSV file."""
-    with located(where, keep=True):
-        table = read_table(_beside(given.csv, "csv", folder))
+        table = read_table(_beside(signal.csv, "csv", folder))
         if table.ticks:
-            what = "the rows have ticks in place of times"
-            raise DiagramError(what, table.name, 'name the first column "time", in seconds')
-        rows, values = table.column(given.column)
-        return PointsInput(list(zip(table.at[rows].tolist(), values.tolist(), strict=True)), given.between)
+            raise DiagramError("the rows have ticks in place of times", table.name, 'name the first column "time" [s]')
+        rows, values = table.column(signal.column)
+        return PointsInput(list(zip(table.at[rows].tolist(), values.tolist(), strict=True)), signal.between)
 
 
 def _expected(value: Mapping[str, Any], where: str, folder: Path) -> ExpectedTable:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from twodof.blocks.declarations import element_names
 from twodof.blocks.expressions.derivative import Value, plain
-from twodof.blocks.expressions.graph import leaves, walk
-from twodof.blocks.expressions.numbers import FLOATS, KINDS, Integer, Vector
-from twodof.compile.linear.operating_point import OperatingPoint, Parts, elements
+from twodof.blocks.expressions.graph import leaves
+from twodof.blocks.expressions.numbers import FLOATS, KINDS, Integer
+from twodof.compile.linear.operating_point import OperatingPoint, Parts, flat, put_flat
 from twodof.compile.linear.tangent import TangentStep
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, Node
 from twodof.errors import DiagramError
@@ -74,14 +74,6 @@ class IntegerStates:
     def _settle(self, node: Node, names: tuple[str, ...], step: TangentStep) -> None:
         roots = [node.trace.update[name] for name in names]
         states: dict[Key, Value] = dict(step.states)
-        # Values that do not depend on these states are computed once.
-        fixed: dict[Any, Value] = {}
-        step.evaluate(node, roots, states, memos={node: fixed})
-        moved: set[int] = set()
-        for e in walk(roots):
-            if (e.op == "state" and e.data in names) or any(id(a) in moved for a in e.args):
-                moved.add(id(e))
-                fixed.pop(id(e), None)
         seen: dict[Whole_, int] = {}
         values: list[Whole_] = []
         while len(values) <= MAX_STEPS:
@@ -97,7 +89,7 @@ class IntegerStates:
                 return
             seen[key] = len(values)
             values.append(now)
-            found = step.evaluate(node, roots, states, memos={node: dict(fixed)})
+            found = step.evaluate(node, roots, states)
             states |= {(node, name): v for name, v in zip(names, found, strict=True)}
         moving = Cycle(names, values[len(values) // 2 :]).moving
         free = self.parts.free_outputs(node)
@@ -299,8 +291,7 @@ class Coordinates:
 
     def values(self) -> Array:
         """Return the values of the coordinates at the point, in the program's order, (n,)."""
-        states = [float(v) for key in self.keys for v in elements(self.point.states[key])]
-        return np.array(states + [float(v) for s in self.held for v in elements(self.point.held[s])], dtype=np.float64)
+        return np.array(flat(self.point.states, self.keys) + flat(self.point.held, self.held), dtype=np.float64)
 
     def of_read_states(self, read: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask of the coordinates, in program order, whose state has an element among `read`."""
@@ -314,10 +305,6 @@ class Coordinates:
 
     def put(self, z: Array) -> None:
         """Set the point's states and held signals to values in the program's order."""
-        items = [np.float64(v) for v in z]
-        for key in self.keys:
-            part = [items.pop(0) for _ in range(self.point.width(key))]
-            self.point.states[key] = Vector(part) if isinstance(self.point.states[key], tuple) else part[0]
-        for s in self.held:
-            part = [items.pop(0) for _ in range(s.width or 1)]
-            self.point.held[s] = part[0] if s.width is None else Vector(part)
+        numbers = iter(z.tolist())
+        put_flat(self.point.states, self.keys, numbers)
+        put_flat(self.point.held, self.held, numbers)

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from twodof.blocks.declarations import element_names, unknown_name
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.derivative import plain
 from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.linear.linear_model import LinearModel
-from twodof.compile.linear.operating_point import OperatingPoint, elements
+from twodof.compile.linear.operating_point import OperatingPoint, elements, flat, put_flat
 from twodof.compile.linear.slopes import Matrices, Slopes, observed, spread
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal
 from twodof.compile.program.lower import lower
@@ -118,8 +117,7 @@ class _Linearization(Slopes):
         self._rest()
 
     def _rest(self) -> None:
-        made = self.step(rested=True, slopes=False).made
-        self.point.held = {s: plain(v) for s, v in made.items() if s.node is not None}
+        self.point.held = self.step(rested=True, slopes=False).made_plain()
 
     def is_continuous(self, time: str) -> bool:
         """Return True if the model for `time` is dx/dt. Raises DiagramError if "continuous" is impossible."""
@@ -228,9 +226,7 @@ class _Linearization(Slopes):
         }
 
     def _input_values(self, s: FlatSignal) -> list[float]:
-        if s.node is None:
-            return self.point.input_values([s])
-        return [float(m.value) for m in elements(self.step(slopes=False).made[s])]
+        return flat(self.point.inputs if s.node is None else self.step(slopes=False).made_plain(), [s])
 
     def _check_phases(self, found: Matrices) -> None:
         """Raise DiagramError if the model changes while a write index or a counter goes round."""
@@ -334,7 +330,7 @@ def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -
         z = np.array(place)
         states[moving] = z[: len(moving)]
         coordinates.put(states)
-        point.put_inputs(freed, z[len(moving) :])
+        put_flat(point.inputs, freed, iter(place[len(moving) :]))
         try:
             found = slopes.matrices("slope" if continuous else "next", strict=False)
         except DiagramError as error:
@@ -348,7 +344,7 @@ def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -
         stay = np.eye(size, slopes.seeds)
         return found.value[after] - states[now], (found.change[after] - stay[now])[:, columns]
 
-    start = np.concatenate([states[moving], point.input_values(freed)])
+    start = np.concatenate([states[moving], flat(point.inputs, freed)])
     if not (start.size and size):
         return
     from scipy.optimize import least_squares  # imported late: most commands start without it

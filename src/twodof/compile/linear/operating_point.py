@@ -2,13 +2,12 @@
 
 import math
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twodof.blocks.declarations import check_value, numeric, unknown_parameter
 from twodof.blocks.diagram import BASE, Rate
@@ -20,13 +19,25 @@ from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, No
 from twodof.compile.program.flatten import constants
 from twodof.errors import DiagramError
 
-Array = NDArray[np.float64]
 States = dict[Key, Value]
+K = TypeVar("K")
 
 
 def elements(value: Any) -> tuple[Any, ...]:
     """Return the elements of an array, or a tuple of the scalar alone."""
     return value if isinstance(value, tuple) else (value,)
+
+
+def flat(values: Mapping[K, Any], keys: Iterable[K]) -> list[float]:
+    """Return the numbers of `keys`, all elements one after the other."""
+    return [float(v) for key in keys for v in elements(values[key])]
+
+
+def put_flat(values: dict[K, Any], keys: Iterable[K], numbers: Iterator[float]) -> None:
+    """Set the values of `keys` to the next of `numbers`, all elements one after the other."""
+    for key in keys:
+        made = [np.float64(next(numbers)) for _ in elements(values[key])]
+        values[key] = Vector(made) if isinstance(values[key], tuple) else made[0]
 
 
 class OperatingPoint:
@@ -58,7 +69,6 @@ class OperatingPoint:
         self.tick = int(at.get("tick", 0))
         self.tick_given = "tick" in at
         self.held: dict[FlatSignal, Any] = {}  # of slower rates, as they stand before the point's tick
-        self._widths = {(n, s.name): s.width or 1 for n in program.nodes for s in n.block.states}
 
     @contextmanager
     def kept(self) -> Iterator[None]:
@@ -71,23 +81,11 @@ class OperatingPoint:
 
     def width(self, key: Key) -> int:
         """Return the number of elements of a state."""
-        return self._widths[key]
+        return len(elements(self.states[key]))
 
     def put(self, states: States) -> None:
         """Set the states in `states`."""
         self.states |= {key: plain(value) for key, value in states.items()}
-
-    def input_values(self, signals: Iterable[FlatSignal]) -> list[float]:
-        """Return the values of the inputs `signals`, all their elements one after the other."""
-        return [float(v) for s in signals for v in elements(self.inputs[s])]
-
-    def put_inputs(self, signals: Sequence[FlatSignal], values: Array) -> None:
-        """Set the inputs `signals` to `values`, all their elements one after the other."""
-        at = 0
-        for s in signals:
-            part = [np.float64(v) for v in values[at : at + (s.width or 1)]]
-            self.inputs[s] = part[0] if s.width is None else Vector(part)
-            at += s.width or 1
 
 
 MAX_PERIOD = 1000  # base ticks

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.derivative import Dual, Slope, Tie, plain
+from twodof.blocks.expressions.derivative import Dual, Slope, Tie
 from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.linear.integer_states import Coordinates, IntegerStates
 from twodof.compile.linear.operating_point import OperatingPoint, Parts, States, elements
@@ -184,7 +184,7 @@ class Slopes:
         held = {(n, s.name): self.point.states[n, s.name] for n, s in self._whole if (n, s.name) in self.point.given}
         self.point.put(new)
         self.point.states |= held
-        self.point.held = {s: plain(v) for s, v in step.made.items() if s.node is not None}
+        self.point.held = step.made_plain()
 
     def _check_kinks(self, what: str, first: Matrices, beside: Matrices, ties: Sequence[Tie]) -> None:
         random = np.random.Generator(np.random.PCG64(2))

@@ -105,6 +105,10 @@ class TangentStep:
                     if s in self.cut:
                         self.read[s] = Dual(plain(self.made[s]), self.cut[s])
 
+    def made_plain(self) -> dict[FlatSignal, Any]:
+        """Return the numbers of the tick's signals that blocks give."""
+        return {s: plain(v) for s, v in self.made.items() if s.node is not None}
+
     def updates(self) -> States:
         """Return the discrete states of the next tick."""
         new: States = {}
