@@ -68,6 +68,7 @@ class Board:
     def __init__(self, emulator: str, elf: bytes, counting: bool) -> None:
         folder = tempfile.mkdtemp(prefix="twodof-m7-")
         self._said = Path(folder, "said")
+        self._pending, self._received = memoryview(b""), bytearray()
         self._close = weakref.finalize(self, _clean, folder, descriptors := [], processes := [])
         try:
             Path(folder, "image.elf").write_bytes(elf)
@@ -105,63 +106,49 @@ class Board:
 
         See `Processor.run` for the errors.
         """
-        pending = memoryview(b"".join(parts))
-        received = bytearray()
+        self._pending = memoryview(b"".join(parts))
         data = bytearray()
-        heard = time.monotonic()
         while True:
+            kind, size = struct.unpack("<2I", self._take(8, name))
+            if kind not in (DATA, END, REFUSED, FAULT) or (size > MOST_FRAME and size > expected):
+                what = f"the emulated processor sent an unknown answer of kind {kind} and {size} bytes"
+                raise ControllerFault(what, name, "report this as a fault")
+            content = self._take(size, name)
+            if kind == FAULT:
+                raise ControllerFault(fault_text(content), name, "find the function at pc in the image")
+            if kind == REFUSED:
+                raise CompileError("its structs have other sizes in the image", name, "report this as a fault")
+            if kind == END:
+                break
+            data += content
+        if len(data) != expected or len(self._pending):
+            raise ControllerFault(
+                f"the answer has {len(data)} bytes, expected {expected}", name, "report this as a fault"
+            )
+        return bytes(data), struct.unpack("<2I", content)
+
+    def _take(self, count: int, name: str) -> bytes:
+        """Return the next `count` bytes from the processor; send what is pending meanwhile."""
+        heard = time.monotonic()
+        while len(self._received) < count:
             ended = self._process.poll() is not None  # asked first: what it said before its end is then there to read
             left = SILENCE - (time.monotonic() - heard)
             if left <= 0 and not ended:
                 what = f"the emulated processor sent nothing for {SILENCE:g} s"
                 raise ControllerFault(what, name, "reduce the load of this computer, then try again")
-            waiting = [self._out] if len(pending) else []
+            waiting = [self._out] if len(self._pending) and not ended else []
             readable, writable, _ = select.select([self._in], waiting, [], 0.0 if ended else min(left, 1.0))
-            if writable and not ended:
-                with suppress(BlockingIOError):
-                    pending = pending[os.write(self._out, pending[:_PIPE]) :]
-            if not readable:
-                if ended:
-                    raise self._ended(name)
-                continue
-            try:
-                chunk = os.read(self._in, _PIPE)
-            except BlockingIOError:
-                continue
-            if not chunk:
+            if writable:
+                self._pending = self._pending[os.write(self._out, self._pending[:_PIPE]) :]
+            chunk = os.read(self._in, _PIPE) if readable else b""
+            if not chunk and (ended or readable):
                 raise self._ended(name)
-            heard = time.monotonic()
-            received += chunk
-            last = self._frames(name, received, data, expected)
-            if last is not None:
-                if len(data) != expected or len(pending):
-                    what = f"the answer has {len(data)} bytes, expected {expected}"
-                    raise ControllerFault(what, name, "report this as a fault")
-                return bytes(data), last
-
-    def _frames(self, name: str, received: bytearray, data: bytearray, expected: int) -> tuple[int, int] | None:
-        """Move whole frames from `received` to `data`. Returns the content of the last frame once it is there."""
-        at = 0
-        last = None
-        while last is None and len(received) >= at + 8:
-            kind, size = struct.unpack_from("<2I", received, at)
-            if kind not in (DATA, END, REFUSED, FAULT) or (size > MOST_FRAME and size > expected):
-                what = f"the emulated processor sent an unknown answer of kind {kind} and {size} bytes"
-                raise ControllerFault(what, name, "report this as a fault")
-            if len(received) < at + 8 + size:
-                break
-            content = bytes(received[at + 8 : at + 8 + size])
-            at += 8 + size
-            if kind == DATA:
-                data += content
-            elif kind == END:
-                last = struct.unpack("<2I", content)
-            elif kind == FAULT:
-                raise ControllerFault(fault_text(content), name, "find the function at pc in the image")
-            else:
-                raise CompileError("its structs have other sizes in the image", name, "report this as a fault")
-        del received[:at]
-        return last
+            if chunk:
+                heard = time.monotonic()
+                self._received += chunk
+        taken = bytes(self._received[:count])
+        del self._received[:count]
+        return taken
 
     def _ended(self, name: str) -> ControllerFault:
         with suppress(subprocess.TimeoutExpired):

@@ -73,11 +73,7 @@ def wasmtime() -> Any:
     try:
         return importlib.import_module("wasmtime")
     except ImportError as error:
-        raise CompileError(
-            "the package wasmtime is not installed",
-            "target wasm",
-            INSTALL,
-        ) from error
+        raise CompileError("the package wasmtime is not installed", "target wasm", INSTALL) from error
 
 
 @functools.cache
