@@ -1,6 +1,5 @@
-"""Flights by processes of their own: they come as simulated, an error comes too, and nothing is left behind."""
+"""Series of flights: they come as simulated, an error comes too, and no drone is left behind."""
 
-import multiprocessing
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,20 +13,14 @@ from twodof.experiment.flight_series import fly_series
 pytestmark = pytest.mark.slow
 
 
-def descendants() -> set[str]:
-    """Command lines of what this process has started, drones included."""
-    found = set()
-    for process in multiprocessing.active_children():
-        found.add(process.name)
-    children = Path(f"/proc/self/task/{multiprocessing.current_process().pid}/children")
-    return found | {one for one in children.read_text().split() if "fcu" in command_line(one)}
-
-
-def command_line(process: str) -> str:
-    """That of a process; nothing for one that has ended."""
-    with suppress(OSError):
-        return Path(f"/proc/{process}/cmdline").read_text()
-    return ""
+def drones() -> list[str]:
+    """Return the processes of drones that this process has started."""
+    found = []
+    for task in Path("/proc/self/task").iterdir():
+        for process in (task / "children").read_text().split():
+            with suppress(OSError):  # it has ended
+                found += [process] if "fcu" in Path(f"/proc/{process}/cmdline").read_text() else []
+    return found
 
 
 @pytest.mark.long
@@ -37,12 +30,13 @@ def test_flights_come_as_they_are_flown_and_leaving_early_ends_all() -> None:
     assert (rig, name, seed, flight.good) == ("paper", "velocity-doublet", 4, True)
     simulated = Laboratory("paper").fly(name, seed).log["x"].value
     np.testing.assert_array_equal(flight.log["x"].value, simulated.astype(np.float32))
-    assert descendants()
+    flying = drones()
     series.close()
-    assert not descendants()
+    assert flying
+    assert not drones()
 
 
-def test_what_goes_wrong_in_a_process_is_raised_here() -> None:
+def test_an_error_in_a_thread_is_raised() -> None:
     with pytest.raises(TwodofError, match="no-such-rig"):
         list(fly_series(["no-such-rig.json"], ["doublet"], [1]))
-    assert not descendants()
+    assert not drones()
