@@ -98,20 +98,9 @@ def test_the_papers_experiments() -> None:
     assert value.sum() * PERIOD == pytest.approx(0.1 * 0.2, rel=1e-12)
     doublet = Doublet(0.03, 0.6, repeat=3, pause=2.0, lead=1.0)
     assert doublet.duration == 1.0 + 3 * 0.6 + 2 * 2.0
-    times, values = doublet.edges()
-    assert times.tolist() == [1.0, 1.3, 1.6, 3.6, 3.9, 4.2, 6.2, 6.5, 6.8]
-    assert values.tolist() == [0.03, -0.03, 0.0] * 3
-
-
-@given(SIGNALS)
-def test_edges_are_all_that_a_player_needs(signal: Excitation) -> None:
-    if not hasattr(signal, "edges"):
-        return
-    times, values = signal.edges()
-    grid = np.linspace(0.0, signal.duration + 1.0, 3000).round(6)
-    held = np.searchsorted(np.rint(times * 1e6), np.rint(grid * 1e6), side="right") - 1
-    played = np.where(held >= 0, values[np.maximum(held, 0)], 0.0)
-    np.testing.assert_array_equal(played, signal.at(grid))
+    edges = np.array([1.0, 1.3, 1.6, 3.6, 3.9, 4.2, 6.2, 6.5, 6.8])
+    assert doublet.at(edges).tolist() == [0.03, -0.03, 0.0] * 3
+    assert doublet.at(edges - 1e-6).tolist() == [0.0, 0.03, -0.03] * 3
 
 
 @given(AMPLITUDE, SECONDS)
@@ -150,7 +139,6 @@ def test_sweep_is_scipys_chirp(law: str, method: str) -> None:
     theirs = 0.2 * chirp(time, 0.1, 26.0, 1.0, method, phi=-90)
     # Both add up some 15 turns: rounding of 100 rad in float64.
     np.testing.assert_allclose(sweep.at(time), theirs, atol=1e-13 * 2 * pi * 15)
-    assert sweep.frequency([0.0, 26.0]).tolist() == pytest.approx([0.1, 1.0])
 
 
 def test_sweep_of_one_frequency_is_a_sine() -> None:
@@ -188,13 +176,17 @@ def test_schroeders_phases_lower_the_crest() -> None:
     flat = Multisine.schroeder(0.5, 10.0, harmonics)
     in_phase = Multisine(10.0, harmonics, (0.01,) * 31, (0.0,) * 31)
     # All in phase, the peak is the sum of the amplitudes.
-    assert in_phase.crest_factor == pytest.approx(sqrt(2 * 31), rel=1e-12)
+    assert in_phase.peak == pytest.approx(0.31, rel=1e-12)
     # Schroeder (1970), for a flat spectrum: phi_n = phi_1 - pi n (n - 1) / N.
     n = np.arange(1, 32)
     np.testing.assert_allclose(np.exp(1j * np.array(flat.phases)), np.exp(-1j * pi * n * (n - 1) / 31), atol=1e-12)
     random = np.random.default_rng(4)
     drawn = [Multisine(10.0, harmonics, (0.01,) * 31, tuple(random.uniform(0, 2 * pi, 31))) for _ in range(200)]
-    assert flat.crest_factor < min(one.crest_factor for one in drawn)
+
+    def crest(one: Multisine) -> float:
+        return one.peak / sqrt(0.5 * sum(a * a for a in one.amplitudes))
+
+    assert crest(flat) < min(map(crest, drawn))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from math import inf, isfinite, log, pi, radians, sqrt
+from math import inf, isfinite, log, pi, radians
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self
@@ -195,16 +195,6 @@ class _Held(Excitation):
         holds, levels = self._levels()
         return np.asarray(levels)[np.searchsorted(np.cumsum(holds)[:-1], us, side="right")]
 
-    def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the times [s] at which the value changes, and the value from then on."""
-        holds = self._levels()[0]
-        starts = np.concatenate(([0], np.cumsum(holds)))
-        turns = np.arange(self.repeat)[:, None] * (int(starts[-1]) + _us(self.pause))
-        us = np.unique(_us(self.lead) + turns + starts)
-        value = self.at(us / 1e6)
-        changed = np.diff(value, prepend=0.0) != 0.0
-        return us[changed] / 1e6, value[changed]
-
 
 @dataclass(frozen=True)
 class Impulse(_Held):
@@ -322,13 +312,6 @@ class Sweep(Excitation):
     def peak(self) -> float:
         return abs(self.amplitude)
 
-    def frequency(self, t: ArrayLike) -> NDArray[np.float64]:
-        """Return the frequency [Hz] at the times `t` [s] after the pattern's start, in the shape of `t`."""
-        share = np.asarray(t, dtype=np.float64) / self.length
-        if self.law == "linear":
-            return self.start_hz + (self.end_hz - self.start_hz) * share
-        return self.start_hz * np.power(self.end_hz / self.start_hz, share)
-
     def _wave(self, us: NDArray[np.int64]) -> NDArray[np.float64]:
         t = us / 1e6
         octaves = log(self.end_hz / self.start_hz) if self.law == "logarithmic" else 0.0
@@ -426,11 +409,6 @@ class Multisine(Excitation):
     def peak(self) -> float:
         """Largest absolute value on a grid with 64 points per shortest wave; too low by at most 0.13 %."""
         return _peak(self.harmonics, self.amplitudes, self.phases)
-
-    @property
-    def crest_factor(self) -> float:
-        """Peak over root mean square: 1.41 for a sine; the lower, the more power at a given peak."""
-        return self.peak / sqrt(0.5 * sum(a * a for a in self.amplitudes))
 
     def _wave(self, us: NDArray[np.int64]) -> NDArray[np.float64]:
         return _sum_of_cosines(self.harmonics, self.amplitudes, self.phases, us / _us(self.period))
