@@ -13,12 +13,9 @@ from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
 from twodof.fcu.assembly import Assembly
-from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.controllers import ControllerIdentity, Controllers
 from twodof.fcu.control.flight_code import MEASURED, FlightCode
 from twodof.fcu.control.hardware import ControlInput, SensorSample
-from twodof.fcu.control.loop import FlightController
-from twodof.fcu.server import Server
 from twodof.link.mavlink.dialect import PROFILES
 from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
@@ -70,8 +67,9 @@ class VirtualRig:
     """A rig from `twodof.rig.parameters` (None: `lab`) as a `VirtualHardware`, with the bits of `ClosedLoop`.
 
     `conditions` are further parameters of the rig (`trim`, `noise`, `seed`, `rings`, ...). `safety_off` is true if the
-    safety switch was pressed. `distort`, a function, changes each sensor sample, to test faults. Raises ParameterError
-    for parameters that are unknown or out of bounds, CompileError without a C compiler.
+    safety switch was pressed. `distort`, a function, changes each sensor sample, to test faults. `seed` is that of the
+    noise, and `rings` says that the rings lock the cart. Raises ParameterError for parameters that are unknown or out
+    of bounds, CompileError without a C compiler.
     """
 
     virtual = True
@@ -97,16 +95,6 @@ class VirtualRig:
         self._take_conditions()
         self.machine.reset()
         self._look()
-
-    @property
-    def seed(self) -> int:
-        """Seed of the noise."""
-        return self._seed
-
-    @property
-    def rings(self) -> bool:
-        """Return True if the rings lock the cart."""
-        return self._rings
 
     @property
     def truth(self) -> tuple[float, float, float, float]:
@@ -180,7 +168,7 @@ class VirtualRig:
         return start.flight_states(self._flight_states) | dict(self._settled)
 
     def _take_conditions(self) -> None:
-        self._seed, self._rings = int(self.machine.get("seed")), bool(self.machine.get("rings"))
+        self.seed, self.rings = int(self.machine.get("seed")), bool(self.machine.get("rings"))
 
 
 class VirtualDrone:
@@ -194,6 +182,9 @@ class VirtualDrone:
 
     Use it as an asynchronous context manager, within which it runs; `listen` opens links. Raises ParameterError for a
     rig, condition or rate, DiagramError and CompileError for a controller, and LinkError for a link.
+
+    `controller` is the flight controller with its loop, `commander` decides about arming, mode and set-points, and
+    `server` has the links and the MAVLink services.
     """
 
     def __init__(
@@ -223,29 +214,16 @@ class VirtualDrone:
         if rate not in PROFILES:
             raise ParameterError(f"there are no rates {rate!r:.40}", "rate", f"use one of {', '.join(PROFILES)}")
         self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate], fresh)
+        self.controller, self.commander = self.assembly.controller, self.assembly.commander
+        self.server = self.assembly.server
         self.rig.settle(self.controller.code)
         self.urls: list[str] = []
         self._running: asyncio.Task[None] | None = None
 
     @property
-    def controller(self) -> FlightController:
-        """Flight controller with its control loop."""
-        return self.assembly.controller
-
-    @property
-    def commander(self) -> Commander:
-        """Commander, which decides about arming, mode and set-points."""
-        return self.assembly.commander
-
-    @property
     def flown(self) -> ControllerIdentity:
         """Identity of the controller that flies, and the number of parameters that differ from their defaults."""
         return self.assembly.configuration.identity
-
-    @property
-    def server(self) -> Server:
-        """Server with the links and the MAVLink services."""
-        return self.assembly.server
 
     async def __aenter__(self) -> Self:
         self._running = asyncio.create_task(self.server.run(), name=f"drone {self.server.system}")
