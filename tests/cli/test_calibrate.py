@@ -12,7 +12,7 @@ from twodof.rig.parameters import lab, load_rig
 
 def made_up(converged: bool) -> Calibration:
     numbers = {unknown.name: unknown.mean for unknown in UNKNOWNS}
-    fits = {flight.name: dict.fromkeys(("theta", "q", "x", "v"), 90.0) for flight in FLIGHTS}
+    fits = {name: dict.fromkeys(("theta", "q", "x", "v"), 90.0) for name in FLIGHTS}
     return Calibration(lab(), numbers, numbers, fits, fits, fits, 1.0, converged)
 
 
@@ -34,7 +34,7 @@ def test_people_read_unknowns_and_fits(folder: Path, capfd: pytest.CaptureFixtur
     assert run(["calibrate", "--data", str(folder)]) == 0
     out = capfd.readouterr().out
     assert all(unknown.name in out for unknown in UNKNOWNS)
-    assert all(flight.name in out for flight in FLIGHTS)
+    assert all(name in out for name in FLIGHTS)
     assert "converged" in out
     assert out.count("left out") == out.count("ceiling") == len(FLIGHTS)
 

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twodof.calibrate import FLIGHTS, find_flights
+from twodof.calibrate import find_flights
 from twodof.errors import LogError
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.public_data import PUBLIC_LOGS
 from twodof.rig.parameters import lab
 from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.flight_segment import default_window, read_segment
@@ -41,8 +42,7 @@ def loop() -> ClosedLoop:
 
 @pytest.mark.parametrize("name", list(REQUIRED))
 def test_the_lab_rig_flies_as_the_real_drone_did(flight_data: Path, loop: ClosedLoop, name: str) -> None:
-    flight = next(f for f in FLIGHTS if f.name == name)
-    logged = find_flights(flight_data, [flight])[flight]
+    logged = find_flights(flight_data, [name])[name]
     fit = logged.compare(loop, lab().snapshot()).fit
     for channel, least in REQUIRED[name].items():
         assert fit[channel] >= least
@@ -97,7 +97,7 @@ def test_nothing_inside_the_window_is_used_but_the_set_points(
 
     All estimates, what the closed loops put out (`outputs`) and all sensors differ; no range sample arrives.
     """
-    flight = next(f for f in FLIGHTS if f.name == name)
+    flight = PUBLIC_LOGS[name]
     log, gains, window = read_log(flight_data / f"{name}.mat"), NAMED[flight.gains], flight.window
     changed = dict(log.channels)
     for channel in ("theta", "q", "x", "v", "acc", "gyr", "dist", *outputs):

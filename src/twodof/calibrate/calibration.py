@@ -9,7 +9,7 @@ The figures of flights that were left out are not wholly blind. The gains of the
 optimum with that flight.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -92,32 +92,22 @@ CalibrationProgress = Callable[[str, float], None]
 """Function that is called with the present task and the share of the whole work done, in [0, 1]."""
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationFlight:
-    """A flight to calibrate on: file stem, window [s], gains it was flown with, weight of each channel's misfit."""
-
-    name: str
-    window: tuple[float, float]
-    gains: str
-    weights: Mapping[str, float]
-
-
-def _flight(name: str, weights: Mapping[str, float]) -> CalibrationFlight:
-    log = PUBLIC_LOGS[name]
-    return CalibrationFlight(name, log.window, log.gains, weights)
-
-
-FLIGHTS: tuple[CalibrationFlight, ...] = (
-    _flight("free-response-impulse", {"q": 1.0}),
-    # Weighs less: in open loop a wrong trim moment grows without bound.
-    _flight("doublet-0.03", {"q": 0.5}),
-    _flight("attitude-steps-10deg-default", {"theta": 1.0, "q": 1.0}),
-    _flight("attitude-steps-10deg-student", {"theta": 1.0, "q": 1.0}),
-    _flight("rate-doublets-30dps-student", {"q": 1.0, "theta": 0.3}),
-    _flight("velocity-doublets-0.25", {"v": 1.0, "theta": 1.0, "x": 0.5, "q": 0.5}),
-    _flight("position-sweep-default", {"x": 1.0, "v": 1.0, "theta": 0.5, "q": 0.5}),
+FLIGHTS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "free-response-impulse": {"q": 1.0},
+        # Weighs less: in open loop a wrong trim moment grows without bound.
+        "doublet-0.03": {"q": 0.5},
+        "attitude-steps-10deg-default": {"theta": 1.0, "q": 1.0},
+        "attitude-steps-10deg-student": {"theta": 1.0, "q": 1.0},
+        "rate-doublets-30dps-student": {"q": 1.0, "theta": 0.3},
+        "velocity-doublets-0.25": {"v": 1.0, "theta": 1.0, "x": 0.5, "q": 0.5},
+        "position-sweep-default": {"x": 1.0, "v": 1.0, "theta": 0.5, "q": 0.5},
+    }
 )
-"""The seven public flights, each in the window that `flightlog.public_data` gives."""
+"""Weight of each channel's misfit in the public flights that are calibrated on, by the flights' names.
+
+Their windows and gains are those of `flightlog.public_data`.
+"""
 
 
 @dataclass(frozen=True)
@@ -221,33 +211,35 @@ class Calibration:
     converged: bool
 
 
-def find_flights(
-    folder: str | Path, flights: Sequence[CalibrationFlight] = FLIGHTS
-) -> dict[CalibrationFlight, LoggedFlight]:
-    """Read the flights' logs in `folder`. Raises LogError if one is missing or broken."""
-    return {f: LoggedFlight(read_log(Path(folder) / f"{f.name}.mat"), NAMED[f.gains], f.window) for f in flights}
+def find_flights(folder: str | Path, flights: Iterable[str] = FLIGHTS) -> dict[str, LoggedFlight]:
+    """Read the logs of the `flights` in `folder`. Raises LogError if one is missing or broken."""
+    logs = {name: PUBLIC_LOGS[name] for name in flights}
+    return {
+        name: LoggedFlight(read_log(Path(folder) / f"{name}.mat"), NAMED[log.gains], log.window)
+        for name, log in logs.items()
+    }
 
 
 def calibrate(
     folder: str | Path,
     leave_one_out: bool = False,
     progress: CalibrationProgress | None = None,
-    flights: Sequence[CalibrationFlight] = FLIGHTS,
+    flights: Iterable[str] = FLIGHTS,
 ) -> Calibration:
     """Calibrate the `lab` rig on the logs in `folder` and, if `leave_one_out`, also on all flights but each one.
 
     `progress` is called often; an exception from it ends the calibration. Raises LogError for a missing or broken log,
     IdentificationError without a flight.
     """
-    if not flights:
-        raise IdentificationError("no flight to calibrate on", "calibrate", "name at least one")
     logged = find_flights(folder, flights)
+    if not logged:
+        raise IdentificationError("no flight to calibrate on", "calibrate", "name at least one")
     loop = resimulation_loop()
     start = np.array([u.mean for u in UNKNOWNS])
-    runs = 1 + (len(flights) if leave_one_out and len(flights) > 1 else 0)
+    runs = 1 + (len(logged) if leave_one_out and len(logged) > 1 else 0)
 
     def solve(
-        run: int, what: str, on: Mapping[CalibrationFlight, LoggedFlight], start: Array
+        run: int, what: str, on: Mapping[str, LoggedFlight], start: Array
     ) -> tuple[Array, Array, LeastSquaresMinimum]:
         """Run the minimisation number `run`, and report the progress of all by its iterations."""
 
@@ -261,19 +253,19 @@ def calibrate(
     x, deviation, best = solve(0, "all flights", logged, start)
     rig = to_rig(_named(x))
     left_out: dict[str, Mapping[str, float]] = {}
-    for run, flight in enumerate(flights[: runs - 1], 1):
-        others = {f: data for f, data in logged.items() if f is not flight}
-        without = solve(run, f"without {flight.name}", others, x)[0]
-        left_out[flight.name] = logged[flight].compare(loop, _whole(to_rig(_named(without)))).fit
+    for run, flight in enumerate(list(logged)[: runs - 1], 1):
+        others = {name: data for name, data in logged.items() if name != flight}
+        without = solve(run, f"without {flight}", others, x)[0]
+        left_out[flight] = logged[flight].compare(loop, _whole(to_rig(_named(without)))).fit
     if progress is not None:
         progress("compare", 1.0)
     values = ParameterSet(rig | _untouched(), TABLE)
-    ceiling = {f.name: gust_ceiling(data, loop, values) for f, data in logged.items()} if left_out else {}
+    ceiling = {name: gust_ceiling(data, loop, values) for name, data in logged.items()} if left_out else {}
     return Calibration(
         rig=values,
         estimate=MappingProxyType(_named(x)),
         deviation=MappingProxyType(_named(deviation)),
-        fit={f.name: data.compare(loop, values).fit for f, data in logged.items()},
+        fit={name: data.compare(loop, values).fit for name, data in logged.items()},
         left_out=left_out,
         ceiling=ceiling,
         cost=best.cost,
@@ -299,7 +291,7 @@ def _whole(rig: dict[str, float]) -> dict[str, float]:
 
 def _solve(
     loop: ClosedLoop,
-    logged: Mapping[CalibrationFlight, LoggedFlight],
+    logged: Mapping[str, LoggedFlight],
     start: Array,
     tell: Callable[[float], None],
 ) -> tuple[Array, Array, LeastSquaresMinimum]:
@@ -310,9 +302,9 @@ def _solve(
     mean = np.array([u.mean for u in UNKNOWNS])
     unit = np.array([u.deviation for u in UNKNOWNS])
     spread = {
-        (f, name): float(np.linalg.norm(data.logged[name] - data.logged[name].mean()))
-        for f, data in logged.items()
-        for name in f.weights
+        (flight, name): float(np.linalg.norm(data.logged[name] - data.logged[name].mean()))
+        for flight, data in logged.items()
+        for name in FLIGHTS[flight]
     }
     calls = 0
     expected = 12 * (len(UNKNOWNS) + 2)
@@ -327,7 +319,7 @@ def _solve(
             simulated = data.simulate(loop, rig)
             parts += [
                 weight / spread[flight, name] * (data.logged[name] - simulated[name])
-                for name, weight in flight.weights.items()
+                for name, weight in FLIGHTS[flight].items()
             ]
         return np.concatenate(parts)
 

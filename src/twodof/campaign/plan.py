@@ -1,6 +1,5 @@
 """Plan of a campaign: runs with a seed and parameters of the rig, from a grid or drawn from means and a covariance."""
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,33 +29,23 @@ class Run:
 def plan(
     seeds: Iterable[int],
     members: Sequence[Mapping[str, float]] = ({},),
-    crossed: bool = False,
     cases: Sequence[str] = ("",),
 ) -> tuple[Run, ...]:
     """Return the runs of each of the `cases`, one after the other, with the `seeds` and `members`.
 
-    Members are sets of changed parameters. One member is that of all seeds. With `crossed` each member is flown with
-    each seed, member by member. Otherwise each seed has a member of its own. Raises ExperimentError for a seed below 0
-    and for other numbers of members.
+    Members are sets of changed parameters. One member is that of all seeds. Otherwise each seed has a member of its
+    own. Raises ExperimentError for a seed below 0 and for other numbers of members.
     """
     seeds = list(seeds)
     for seed in seeds:
         if not is_number(seed, 0, whole=True):
             raise ExperimentError(f"{seed!r:.80} is no seed", "plan", "give whole numbers from 0 on")
-    if crossed or len(members) == 1:
-        pairs = [(seed, one) for one in members for seed in seeds]
-    elif len(members) == len(seeds):
-        pairs = list(zip(seeds, members, strict=True))
-    else:
+    each = list(members) * len(seeds) if len(members) == 1 else list(members)
+    if len(each) != len(seeds):
         what = f"{len(members)} sets of parameters for {len(seeds)} seeds"
-        raise ExperimentError(what, "plan", "give one set for each seed, or cross them")
-    runs = ((case, int(seed), dict(one)) for case in cases for seed, one in pairs)
+        raise ExperimentError(what, "plan", "give one set for all seeds, or one for each")
+    runs = ((case, int(seed), dict(one)) for case in cases for seed, one in zip(seeds, each, strict=True))
     return tuple(Run(i, seed, one, case) for i, (case, seed, one) in enumerate(runs))
-
-
-def grid(**values: Sequence[float]) -> list[dict[str, float]]:
-    """Return every combination of the `values` of each parameter; the last parameter changes fastest."""
-    return [dict(zip(values, map(float, one), strict=True)) for one in itertools.product(*values.values())]
 
 
 def drawn(

@@ -277,7 +277,7 @@ def calibrate(
 
 
 def _folder() -> Path:
-    folders = {find(flight.name).parent for flight in FLIGHTS}
+    folders = {find(name).parent for name in FLIGHTS}
     if len(folders) > 1:
         raise LogError(
             "the public logs lie in several folders", ", ".join(map(str, sorted(folders))), "name one with --data"
@@ -292,11 +292,11 @@ def _calibration_lines(found: Calibration, out: Path | None) -> Iterator[Rendera
         values.add_row(unknown.name, f"{value:.5g}", f"{sigma:.2g}", unknown.text)
     yield values
     fits = table("flight", "theta", "q", "x", "v", "")
-    for flight in FLIGHTS:
+    for name in FLIGHTS:
         for word, fit in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
-            if flight.name in fit:
-                row = fit[flight.name]
-                fits.add_row(flight.name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)
+            if name in fit:
+                row = fit[name]
+                fits.add_row(name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)
     yield "\nFIT, %:"
     yield fits
     yield "converged" if found.converged else "NOT converged: the best set seen is given"
