@@ -48,16 +48,14 @@ MAX_TICKS = 1_000_000
 class Plan:
     """A scenario prepared for a diagram.
 
-    `inputs` are arrays of `steps` rows in the ports' types. `expected` maps each column of expected values in the table
-    to its signal: a name or path, perhaps with an index. `paths` are the signals to log, `enumerations` those of the
-    signals that are checked, by name.
+    `inputs` are arrays of `steps` rows in the ports' types. `claims` are the assertions and the table's expected
+    columns. `paths` are the signals to log, `enumerations` those of the signals that are checked, by name.
     """
 
     scenario: Scenario
     steps: int
     inputs: dict[str, NDArray[Any]]
-    checks: tuple[Assertion, ...]
-    expected: Mapping[str, str]
+    claims: tuple[Assertion | ExpectedColumn, ...]
     paths: frozenset[str]
     enumerations: Mapping[str, Enumeration]
 
@@ -105,13 +103,8 @@ def run_plan(planned: Plan, machine: Machine) -> dict[str, NDArray[Any]]:
 
 def _judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> ScenarioResult:
     """Judge the signals of a scenario. Raises DiagramError for a claim about a time outside it."""
-    scenario, claims = planned.scenario, list[Assertion | ExpectedColumn](planned.checks)
+    scenario, claims = planned.scenario, planned.claims
     name = scenario.name
-    for column, signal in planned.expected.items():
-        assert scenario.table is not None
-        whole = element_of(signals, signal, f"{name}, {column}").dtype.kind != "f"
-        enumeration = planned.enumerations.get(parse_element(signal, name)[0])
-        claims.append(scenario.table.expected(column, signal, whole, planned.steps, dt, enumeration))
     judgements = []
     for claim in claims:
         values = element_of(signals, claim.signal, f"{name}, {claim.text}").astype(np.float64)
@@ -156,9 +149,16 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
         port = _input(diagram, name, where)
         for index, one in _elements(value, axes(port), where):
             feed(name, index, _values(one, port, steps, dt, where), where)
-    expected: dict[str, str] = {}
-    for column in scenario.table.table.cells if scenario.table else ():
-        assert scenario.table is not None
+
+    def enumeration_of(signal: str) -> Enumeration | None:
+        port = _port(diagram, parse_element(signal, scenario.name)[0])
+        found: Enumeration | None = None if port is None else port.enum
+        return found
+
+    expected: list[ExpectedColumn] = []
+    table = scenario.table
+    for column in table.table.cells if table else ():
+        assert table is not None
         where = f"{scenario.name}, {column}"
         signal = column.removeprefix(INPUT).removeprefix(OUTPUT).strip()
         name, index = parse_element(signal, where)
@@ -169,31 +169,31 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
         if feeds or column.startswith(INPUT):
             port = _input(diagram, name, where)
             check_index(index, axes(port), name, where)
-            feed(name, index, _of_table(scenario.table, column, port, steps, dt, where), where)
+            feed(name, index, _of_table(table, column, port, steps, dt, where), where)
         else:
-            expected[column] = signal
+            given = _port(diagram, name)
+            whole = given is not None and given.kind not in FLOATS
+            expected.append(table.expected(column, signal, whole, steps, dt, enumeration_of(signal)))
 
     def member(signal: str, name: str) -> float:
-        enumeration = _enumeration(diagram, parse_element(signal, scenario.name)[0])
+        enumeration = enumeration_of(signal)
         if enumeration is None:
             remedy = f"{signal} is not of an enumeration: write a number"
             raise DiagramError(f"{shown(name)} is not a number", f"{scenario.name}, {signal}", remedy)
         return float(enumeration.plain(name, f"{scenario.name}, {signal}"))
 
-    checks = tuple(assertion(c, member) if isinstance(c, str) else c for c in scenario.checks)
-    claimed = {signal: what for what, signal in expected.items()} | {check.signal: check.text for check in checks}
-    if not claimed:
+    checks = (assertion(c, member) if isinstance(c, str) else c for c in scenario.checks)
+    claims: tuple[Assertion | ExpectedColumn, ...] = (*checks, *expected)
+    if not claims:
         raise DiagramError("it checks nothing", scenario.name, "add checks, or a table with a column of an output")
-    names = {parse_element(signal, scenario.name)[0]: what for signal, what in claimed.items()}
+    names = {parse_element(claim.signal, scenario.name)[0]: claim.text for claim in reversed(claims)}
     for name, what in names.items():
         if name not in diagram.outputs and "." not in name:
             remedy = f"outputs: {nearest(name, diagram.outputs)}; the path of a signal inside is part.port"
             raise DiagramError(f"there is no output {shown(name)}", f"{scenario.name}, {what}", remedy)
     typed = {name: _typed(diagram.inputs[name], data, f"{scenario.name}, {name}") for name, data in inputs.items()}
-    enumerations = {name: e for name in names if (e := _enumeration(diagram, name)) is not None}
-    return Plan(
-        scenario, steps, typed, checks, expected, frozenset(n for n in names if not diagram.gives(n)), enumerations
-    )
+    enumerations = {name: found for name in names if (found := enumeration_of(name)) is not None}
+    return Plan(scenario, steps, typed, claims, frozenset(n for n in names if not diagram.gives(n)), enumerations)
 
 
 def _steps(scenario: Scenario, dt: float) -> int:
@@ -215,18 +215,16 @@ def _input(diagram: Diagram, name: str, where: str) -> Port:
     return diagram.inputs[name]
 
 
-def _enumeration(diagram: Diagram, path: str) -> Enumeration | None:
-    """Return the enumeration of the signal at `path`: an input, an output or part.port."""
+def _port(diagram: Diagram, path: str) -> Port | None:
+    """Return the declaration of the signal at `path`, an input, an output or part.port; None for an unknown one."""
     item: Block | Diagram = diagram
     while isinstance(item, Diagram) and "." in path and path.partition(".")[0] in item.parts:
         name, _, path = path.partition(".")
         item = item.parts[name].item
     try:
-        port = diagram.inputs[path] if path in diagram.inputs and item is diagram else carried(item, path)
+        return diagram.inputs[path] if path in diagram.inputs and item is diagram else carried(item, path)
     except DiagramError:  # the build says so, with the whole path
         return None
-    found: Enumeration | None = None if port is None else port.enum
-    return found
 
 
 def _elements(value: Any, sizes: tuple[int, ...], where: str) -> Iterator[tuple[Index, Any]]:
