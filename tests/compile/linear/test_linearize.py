@@ -1,4 +1,4 @@
-"""Exact linear models: against equations, python-control and the published margins of the course."""
+"""Exact linear models: against equations and python-control."""
 
 from __future__ import annotations
 
@@ -9,17 +9,13 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from tests.compile.linear.linear_diagrams import DT, chain, pendulum, same_response
 from tests.compile.test_loops import powers
 from twodof.blocks import Block, Diagram
 from twodof.blocks import library as lib
-from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import DiagramError
-from twodof.rig.dynamics import Dynamics
-from twodof.signals import GRAVITY
 
 pytestmark = pytest.mark.slow
 
@@ -44,35 +40,6 @@ def test_trim_finds_where_the_moment_holds_it() -> None:
     assert held.point["p.theta"] == 0.4
     with pytest.raises(DiagramError, match="no equilibrium"):
         linearize(pendulum(), DT, at={"M": 5.0}, trim=True)
-
-
-def test_the_rig_at_hover() -> None:
-    """The equations of docs/explanation/physics.md for small angles, solved for the accelerations by hand."""
-    d = Diagram("hover")
-    for name in ("thrust", "moment", "gust", "running"):
-        d.input(name)
-    d.add("dynamics", Dynamics(), **{name: name for name in d.inputs})
-    for name in ("theta", "q", "x", "v"):
-        d.output(name, f"dynamics.{name}")
-    thrust, spring, c, c_x = 5.2, 0.03, 0.002, 0.4
-    model = linearize(
-        d,
-        0.001,
-        at={"thrust": thrust, "dynamics.spring": spring, "dynamics.viscous_idle": c, "dynamics.rail_viscous": c_x},
-        inputs=["moment"],
-    )
-    j, m_d, m, offset = 2.6e-3, 0.374, 0.534, 5e-3
-    s = m_d * offset
-    mass = np.array([[j, s], [s, m]])  # of (q', v')
-    forces = np.array([[-s * GRAVITY - spring, -c, 0.0, 0.0], [-thrust, 0.0, 0.0, -c_x]])
-    rates = np.linalg.solve(mass, forces)
-    expected = np.array([[0, 1, 0, 0], rates[0], [0, 0, 0, 1], rates[1]])
-    assert model.dt is None
-    assert model.states == ("dynamics.theta", "dynamics.q", "dynamics.x", "dynamics.v")
-    assert set(model.left_out) == {"dynamics.sine", "dynamics.cosine"}
-    np.testing.assert_allclose(model.a, expected, rtol=1e-12, atol=1e-14)
-    push = np.linalg.solve(mass, [1.0, 0.0])
-    np.testing.assert_allclose(model.b[:, 0], [0.0, push[0], 0.0, push[1]], rtol=1e-12)
 
 
 def test_pid_is_its_z_transform() -> None:
@@ -130,66 +97,6 @@ def test_the_linear_blocks_are_python_controls(block: Block, system: Any) -> Non
     # Transfer functions to state space and back lose some digits.
     same_response(model, lambda s: system(s), rtol=1e-9)
     assert model.to_control().dt == system.dt
-
-
-MU, W, XI = 358.5, 3.437, 0.0836
-
-
-def course_loop(plant: Block, integrator: Block) -> Diagram:
-    """The two inner loops of the course on the paper's model: P, PID, 20 ms of delay in five samples, pitch."""
-    d = Diagram("course")
-    d.input("q0")
-    d.input("theta0")
-    d.add("theta_error", lib.Sum("+-"), a="theta0", b="theta")
-    d.add("attitude", lib.Gain(11.0), u="theta_error")
-    d.add("command", lib.Sum("++"), a="q0", b="attitude")
-    d.add("error", lib.Sum("+-"), a="command", b="plant")
-    d.add("pid", lib.Pid(0.08535, 0.25103, 0.000541, 100.0), e="error")
-    d.add("delay", lib.Delay(5), u="pid")
-    d.add("plant", plant, u="delay")
-    d.add("theta", integrator, u="plant")
-    d.output("q", "plant")
-    d.output("theta_out", "theta")
-    return d
-
-
-def margins(cut: LinearModel) -> tuple[float, float, float]:
-    """Gain margin, phase margin [deg] and crossover [rad/s] of a loop that is cut: its gain is minus the model's."""
-
-    def loop(w: float) -> complex:
-        return complex(-cut.response(w)[0, 0, 0])
-
-    def falls(values: Any, function: Any, start: float) -> float:
-        """Where a function of frequency first falls through 0 above `start`."""
-        k = next(k for k in range(len(grid) - 1) if grid[k] >= start and values[k] > 0.0 >= values[k + 1])
-        return float(brentq(function, grid[k], grid[k + 1]))
-
-    grid = np.geomspace(1.0, 400.0, 2000)
-    response = -cut.response(grid)[:, 0, 0]
-    crossover = falls(np.abs(response) - 1.0, lambda w: abs(loop(w)) - 1.0, 1.0)
-    turn = falls(-response.imag, lambda w: -loop(w).imag, crossover)
-    return 1.0 / abs(loop(turn)), 180.0 + math.degrees(np.angle(loop(crossover))), crossover
-
-
-def test_the_margins_of_the_course() -> None:
-    """Of the published designs: 33.5 rad/s, 57.7 deg, 6.9 dB at 30 rad/s; the attitude loop 11.7 rad/s, 71.5 deg.
-
-    They hold for the plant discretised by Tustin's rule, which spares it the hold's half sample of delay.
-    """
-    top = [2 * MU / DT, 0.0, -2 * MU / DT]
-    bottom = [4 / DT**2 + s * 4 * XI * W / DT + W * W if s else 2 * W * W - 8 / DT**2 for s in (1, 0, -1)]
-    # The pitch angle is the sum of the rates up to its own sample: backward Euler, as all integrals of the platform.
-    d = course_loop(lib.DiscreteTransferFunction(top, bottom), lib.DiscreteIntegrator("backward"))
-    rate = linearize(d, DT, at={"attitude.k": 0.0}, inputs=["pid.M"], outputs=["pid.M"])
-    assert rate.dt == DT
-    gain, phase, crossover = margins(rate)
-    assert crossover == pytest.approx(33.5, abs=0.05)  # half of the last digit that is published, each
-    assert phase == pytest.approx(57.7, abs=0.05)
-    assert 20 * math.log10(gain) == pytest.approx(6.9, abs=0.05)
-    outer = linearize(d, DT, inputs=["attitude.y"], outputs=["attitude.y"])
-    _, phase, crossover = margins(outer)
-    assert crossover == pytest.approx(11.7, abs=0.05)
-    assert phase == pytest.approx(71.5, abs=0.05)
 
 
 def test_chained_products_cost_what_their_arithmetic_does() -> None:
