@@ -299,8 +299,9 @@ def test_nothing_is_armed_before_it_was_heard(unheard: dict[str, bool], reason: 
 
 def test_a_low_battery_is_said_in_flight_and_refuses_the_next() -> None:
     loop = FaultyLoop()
-    loop.take_off()
-    out = loop.fly(3.0, sag=1.4)
+    loop.take_off(3.02)  # to a tick of the battery
+    loop.loop.configure({"voltage_full": loop.loop.rig["voltage_full"] - 1.4})
+    out = loop.fly(3.0)
     assert not out["action"].any()
     assert first(out["reason"] == BIT["battery_low"]) + PERIOD_MS == 1000.0
     loop.fly(0.1, arm=False, mode=0)
