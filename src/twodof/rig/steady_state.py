@@ -55,9 +55,9 @@ def moment_gain(rig: Mapping[str, float], thrust: float) -> float:
     return float(pairs * rig["arm"] * rig["pair_thrust"] * slope / rig["inertia"])
 
 
-def velocity_gain(rig: Mapping[str, float], thrust: float = HOVER) -> float:
-    """Return k_v [m/s2 per rad]: thrust over the moved mass."""
-    return float(2.0 * rig["pair_thrust"] * lift(thrust, rig["curve"]) / (rig["mass_drone"] + rig["mass_cart"]))
+def velocity_gain(rig: Mapping[str, float]) -> float:
+    """Return k_v [m/s2 per rad]: the thrust of hover over the moved mass."""
+    return float(2.0 * rig["pair_thrust"] * lift(HOVER, rig["curve"]) / (rig["mass_drone"] + rig["mass_cart"]))
 
 
 def velocity_damping(rig: Mapping[str, float]) -> float:
