@@ -1,7 +1,8 @@
 """Controllers of public repositories beside the C that MathWorks' coder made of them.
 
 TWODOF_SLX_REPOS names a folder of checkouts, OWNER+NAME, of which nothing is kept here: JakubRichardson/IGDP-DroneProj
-at f54bdc9, Firmament-Autopilot/FMT-Model and FMT-Firmware with their history. A model and its C must have one version.
+at f54bdc9, and with their history Firmament-Autopilot/FMT-Model and FMT-Firmware, robotology/icub-firmware-models and
+icub-firmware. A model and its C must have one version.
 """
 
 import ctypes
