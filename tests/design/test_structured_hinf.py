@@ -12,7 +12,7 @@ from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import promise
 from twodof.design.sampled_controller import SampledController
 from twodof.design.specification import Specification, check, read_specification
-from twodof.design.structured_hinf import hinf_norm, largest_norm, structured_hinf
+from twodof.design.structured_hinf import System, hinf_norm, largest_norm, structured_hinf
 from twodof.errors import ParameterError
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.signals import PERIOD
@@ -59,6 +59,19 @@ def test_norm_of_known_systems() -> None:
     assert norm == pytest.approx(1.0 / (2.0 * xi * math.sqrt(1.0 - xi**2)), rel=1e-6)
     assert omega == pytest.approx(3.0 * math.sqrt(1.0 - 2.0 * xi**2), rel=1e-3)
     assert math.isinf(hinf_norm(2.0 * one, one, one, one)[0])
+
+
+def test_integral_gain_at_the_kink_of_two_peaks() -> None:
+    """3 / (z - 1 + k) is largest at 0 below k = 1, 3 / k, and at the Nyquist frequency above, 3 / (2 - k)."""
+
+    def closed(gains: np.ndarray) -> list[System]:
+        a, one = np.array([[1.0 - gains[0]]]), np.ones((1, 1))
+        return [(a, gains[0] * one, -one, one), (a, 3.0 * one, one, 0.0 * one)]
+
+    starts = [np.full(1, start) for start in (0.1, 1.6, 3.0)]  # the last one is unstable
+    found = structured_hinf(closed, starts, PERIOD, np.zeros(1), np.full(1, 4.0))
+    assert found.gains[0] == pytest.approx(1.0, rel=1e-5)
+    assert found.norms == pytest.approx([3.0] * 3, rel=1e-5)
 
 
 @pytest.mark.long
@@ -116,10 +129,12 @@ def test_refuses_a_bad_specification(text: str, tmp_path_factory: pytest.TempPat
 
 def test_refuses_with_a_remedy() -> None:
     unstable = (np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
+    one = (PERIOD, np.zeros(1), np.full(1, 2.0))
     for call in (
-        lambda: structured_hinf(lambda x: [unstable], []),
-        lambda: structured_hinf(lambda x: [unstable], [np.array([math.nan])]),
-        lambda: structured_hinf(lambda x: [unstable], [np.ones(1)]),
+        lambda: structured_hinf(lambda x: [unstable], [], *one),
+        lambda: structured_hinf(lambda x: [unstable], [np.array([math.nan])], *one),
+        lambda: structured_hinf(lambda x: [unstable], [np.ones(1)], *one),
+        lambda: structured_hinf(lambda x: [unstable], [np.ones(2)], *one),
         lambda: hinf_norm(np.ones((2, 2)), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))),
         lambda: hinf_norm(*(math.nan * np.ones((1, 1)) for _ in range(4))),
         lambda: check(Specification(overshoot=0.1), SampledController.of(pid_attitude()), FAMILY),

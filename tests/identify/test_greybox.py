@@ -130,6 +130,11 @@ def test_validation_records_get_their_own_initial_state_only() -> None:
     assert one.record == "unseen"
     assert one.rmse == pytest.approx(0.06, rel=0.1)
     assert one.fit_percent == pytest.approx(fit_percent(one.measured, one.simulated))
+    # A local unknown that is given and not fitted holds for the unseen record too, by its name or for this one alone.
+    lifted = replace(unseen, outputs={"q": replace(unseen.outputs["q"], value=q + 0.5)})
+    for given in ({"q_bias[unseen]": 0.5}, {"q_bias": 0.5, "q_bias[seen]": 0.0}):
+        (same,) = fit(pitch_rate(), seen, validation=lifted, values=given).validation
+        assert same.rmse == pytest.approx(one.rmse, rel=1e-3)
 
 
 def test_the_frequency_domain_agrees_and_drops_a_drift() -> None:

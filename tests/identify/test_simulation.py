@@ -1,5 +1,7 @@
 """Simulations of a record: what a fit compared, states that the first samples tell, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -38,6 +40,17 @@ def test_the_first_samples_tell_the_initial_state() -> None:
     changed[50:] = 9.0
     other = Record.from_columns(DT * np.arange(U.size), {"M": U, "q": changed}, ["M"], ["q"])
     assert initial_state(pitch_rate(), other, TRUE, samples=50) == found
+
+
+def test_a_piece_is_predicted_by_the_noise_of_its_flight() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.0, np.random.default_rng(5), name="one")
+    v = lfilter([1.0], [1.0, -0.9], 0.05 * np.random.default_rng(6).standard_normal(U.size))
+    noisy = replace(record, outputs={"q": replace(record.outputs["q"], value=record.outputs["q"].value + v)})
+    other = replace(noisy, name="two")
+    found = fit(pitch_rate(), [noisy, other], estimate="mu", values=TRUE, disturbance="ar")
+    piece = replace(noisy, name="one, piece 1", flight="one")
+    whole, same = (predict_ahead(pitch_rate(), one, found, steps=1)["q"] for one in (noisy, piece))
+    assert (same == whole).all()
 
 
 def test_an_unobservable_state_keeps_its_value() -> None:

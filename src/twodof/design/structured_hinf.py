@@ -1,15 +1,15 @@
 """Structured H-infinity: the gains of a fixed structure that make the largest weighted response smallest.
 
-The norm is not convex in the gains and has kinks where two peaks are alike. The search goes from several starts. First
-it stabilises the least stable pole. Then BFGS with a weak Wolfe search lowers the norm; this search copes with kinks
-(Lewis and Overton, Nonsmooth optimization via quasi-Newton methods, 2013). Gradients at points around the end then
-show whether it is a minimum: the shortest vector in their hull is a direction of descent, or nearly zero. This is the
-gradient sampling of Burke, Lewis and Overton (2005). The problem is that of Apkarian and Noll (2006) and of systune.
+The norm is not convex in the gains and has kinks where two peaks are alike. So the largest response is an unknown t of
+its own: least t with each response below t at a set of frequencies, by sequential quadratic programming, which takes a
+kink for what it is, two constraints that hold together. The frequencies at which the norm is met are added until there
+is none above t. The search goes from several starts. The problem is that of Apkarian and Noll (2006) and of systune.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,12 @@ System = tuple[Array, Array, Array, Array]
 ClosedLoop = Callable[[Array], Sequence[System]]
 """Function from the gains (k,) to the weighted closed loop: one or more systems, of which the largest norm counts."""
 
-STARTS = 6
-_ITERATIONS = 120
-_AGAIN = 4
-_SEARCHES = 24
-_RADII = (1e-2, 1e-3, 1e-4)
-_SAMPLED = 4  # rounds at each radius
+_FREQUENCIES, _LOWEST = 60, 1e-4
+"""Frequencies at the start of a search, and the lowest one as a share of half the sample rate."""
+_EXCHANGES = 12
+_TRIED = 4  # starts beside one that leads to no stable loop
 _INSIDE = 1e-9
-_DIFFERENCE = 1e-6  # of a gain, for slopes of the closed loop's matrices
+_ENOUGH = 1e-6  # by how much the norm may exceed t, as a share
 _MOST_GAINS = 60
 
 
@@ -50,17 +48,16 @@ class StructuredHinf:
 def structured_hinf(
     closed: ClosedLoop,
     starts: Sequence[Array],
-    dt: float | None = None,
-    low: Array | None = None,
-    high: Array | None = None,
+    dt: float,
+    low: Array,
+    high: Array,
     seed: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> StructuredHinf:
-    """Return the gains that minimise the H-infinity norm of `closed`, each from `low` to `high` (None: unbounded).
+    """Return the gains that minimise the H-infinity norm of `closed`, each from `low` to `high`.
 
-    The search is scaled by the first start's gains. `dt` [s] is the sample time of the loop, None a continuous one.
-    `progress` is called with the share done. Raise ParameterError for starts that do not fit, and if no start leads
-    to a stable loop.
+    The search is scaled by the first start's gains. `dt` [s] is the sample time of the loop. `progress` is called with
+    the share done. Raise ParameterError for starts that do not fit, and if no start leads to a stable loop.
     """
     points = [np.asarray(start, dtype=float) for start in starts]
     if not points or any(p.ndim != 1 or p.shape != points[0].shape or not np.isfinite(p).all() for p in points):
@@ -68,185 +65,78 @@ def structured_hinf(
     k = points[0].size
     if not 1 <= k <= _MOST_GAINS:
         raise _error(f"{k} gains are too few or too many", f"give 1 to {_MOST_GAINS}")
-    bottom = np.full(k, -math.inf) if low is None else np.asarray(low, dtype=float)
-    top = np.full(k, math.inf) if high is None else np.asarray(high, dtype=float)
-    if bottom.shape != (k,) or top.shape != (k,) or not (bottom < top).all():
+    if low.shape != (k,) or high.shape != (k,) or not (low < high).all():
         raise _error("the bounds do not fit the gains", "give low < high, each (k,)")
-    search = _Search(closed, dt, np.where(points[0] != 0.0, np.abs(points[0]), 1.0), bottom, top)
+    search = _Search(closed, dt, np.where(points[0] != 0.0, np.abs(points[0]), 1.0), low, high)
     rng = np.random.default_rng(seed)
     found: list[tuple[float, Array]] = []
     for number, start in enumerate(points):
         progress(number / len(points))
-        y = search.stable(np.clip(start, bottom, top) / search.scale, rng)
-        if y is not None:
-            found.append(search.lowest(y))
+        for _ in range(_TRIED):
+            value, gains = search.lowest(np.clip(start, low, high))
+            if math.isfinite(value):
+                found.append((value, gains))
+                break
+            start = start + 0.3 * search.scale * rng.standard_normal(k)
     if not found:
         raise _error("no start leads to a stable loop", "give a start that stabilises it, or more starts")
     found.sort(key=lambda one: one[0])
-    found[0] = search.polished(*found[0], rng)
-    gains = search.gains(found[0][1])
-    norm, omega, _ = largest_norm(closed(gains), dt)
-    return StructuredHinf(gains, norm, omega, tuple(value for value, _ in found))
+    norm, omega = largest_norm(closed(found[0][1]), dt)
+    return StructuredHinf(found[0][1], norm, omega, tuple(value for value, _ in found))
 
 
-def largest_norm(systems: Sequence[System], dt: float | None) -> tuple[float, float, int]:
-    """Return (norm, frequency [rad/s], index) of the system with the largest H-infinity norm; infinite if unstable."""
-    found = [hinf_norm(*one, dt) for one in systems]
-    place = max(range(len(found)), key=lambda i: found[i][0])
-    return *found[place], place
+def largest_norm(systems: Sequence[System], dt: float | None) -> tuple[float, float]:
+    """Return (norm, frequency [rad/s]) of the system with the largest H-infinity norm; infinite if unstable."""
+    return max((hinf_norm(*one, dt) for one in systems), key=lambda one: one[0])
 
 
+@dataclass(frozen=True, eq=False)
 class _Search:
-    """The norm and its gradient over scaled gains y = gains / scale."""
+    """Search of the gains, each in units of its `scale`."""
 
-    def __init__(self, closed: ClosedLoop, dt: float | None, scale: Array, low: Array, high: Array) -> None:
-        self.closed, self.dt, self.scale = closed, dt, scale
-        self.low, self.high = low / scale, high / scale
+    closed: ClosedLoop
+    dt: float
+    scale: Array
+    low: Array
+    high: Array
 
-    def gains(self, y: Array) -> Array:
-        return np.asarray(np.clip(y, self.low, self.high) * self.scale)
+    def lowest(self, gains: Array) -> tuple[float, Array]:
+        """Return the lowest norm that is reached from `gains`, and where; infinity if no stable loop is."""
+        from scipy.optimize import minimize  # imported late: most commands start without it
 
-    def stable(self, y: Array, rng: np.random.Generator) -> Array | None:
-        """Return a stable point, by lowering the least stable pole from `y`; None if that ends unstable."""
-        for _ in range(4):
-            if self._inside(self.abscissa(y)):
-                return y
-            y, value = self._descend(y, self.abscissa, self._abscissa_slope, lambda v: self._inside(v))
-            if self._inside(value):
-                return y
-            y = y + 0.3 * rng.standard_normal(y.size)
-        return None
-
-    def lowest(self, y: Array) -> tuple[float, Array]:
-        """Return (norm, y) that BFGS reaches from the stable `y`, restarted if it has come to a kink."""
-        value = math.inf
-        for _ in range(_AGAIN):
-            y, reached = self._descend(y, self.norm, self._norm_slope, lambda v: False)
-            if not reached < value * (1.0 - 1e-5):
+        omega = np.geomspace(_LOWEST, 1.0, _FREQUENCIES) * math.pi / self.dt
+        kept = x = np.append(gains / self.scale, self._sizes(gains, omega).max())
+        bounds = [*zip(self.low / self.scale, self.high / self.scale, strict=True), (0.0, None)]
+        fixed: dict[str, Any] = {"method": "SLSQP", "bounds": bounds, "options": {"maxiter": 200, "ftol": 1e-10}}
+        best = math.inf
+        for _ in range(_EXCHANGES):
+            below = {"type": "ineq", "fun": lambda x, omega=omega: self._below(x, omega)}
+            with np.errstate(all="ignore"):
+                x = minimize(lambda x: x[-1], x, jac=lambda x: np.eye(x.size)[-1], constraints=below, **fixed).x
+            found = [hinf_norm(*one, self.dt) for one in self.closed(self.gains(x))]
+            norm = max(norm for norm, _ in found)
+            if norm < best:
+                best, kept = norm, x
+            if not math.isfinite(norm) or norm <= x[-1] * (1.0 + _ENOUGH):
                 break
-            value = reached
-        return min(value, reached), np.clip(y, self.low, self.high)
+            # At 0 itself a loop that an integral makes has a pole on the way.
+            omega = np.append(omega, [max(peak, 1e-3 * omega[0]) for _, peak in found])
+        return best, self.gains(kept)
 
-    def polished(self, value: float, y: Array, rng: np.random.Generator) -> tuple[float, Array]:
-        """Return (norm, y) after gradient sampling about `y`."""
-        for radius in _RADII:
-            for _ in range(_SAMPLED):
-                around = y + radius * rng.uniform(-1.0, 1.0, (2 * y.size, y.size))
-                slopes = [g for point in (y, *around) if (g := self._norm_slope(point)) is not None]
-                if not slopes:
-                    break
-                down = -_shortest(np.array(slopes))
-                length = float(np.linalg.norm(down))
-                if length < 1e-9:
-                    break
-                step, better = radius * 4.0, False
-                for _ in range(12):
-                    trial = y + step * down / length
-                    reached = self.norm(trial)
-                    if reached < value * (1.0 - 1e-6):
-                        y, value, better = trial, reached, True
-                        break
-                    step *= 0.5
-                if not better:
-                    break
-        return value, np.clip(y, self.low, self.high)
+    def gains(self, x: Array) -> Array:
+        return np.asarray(np.clip(x[:-1] * self.scale, self.low, self.high))
 
-    def norm(self, y: Array) -> float:
-        return largest_norm(self.closed(self.gains(y)), self.dt)[0]
+    def _below(self, x: Array, omega: Array) -> Array:
+        """Return what each response at `omega` [rad/s] leaves below t, and what the poles leave to the border."""
+        gains = x[:-1] * self.scale
+        radius = max(float(np.abs(np.linalg.eigvals(one[0])).max()) for one in self.closed(gains))
+        return np.append(x[-1] - self._sizes(gains, omega), 1.0 - radius - _INSIDE)
 
-    def abscissa(self, y: Array) -> float:
-        poles = np.concatenate([np.linalg.eigvals(one[0]) for one in self.closed(self.gains(y))])
-        return float(np.abs(poles).max() - 1.0 if self.dt is not None else poles.real.max())
-
-    def _inside(self, value: float) -> bool:
-        return value < -_INSIDE
-
-    def _abscissa_slope(self, y: Array) -> Array | None:
-        value = self.abscissa(y)
-        return np.array([(self.abscissa(y + step) - value) / _DIFFERENCE for step in _DIFFERENCE * np.eye(y.size)])
-
-    def _norm_slope(self, y: Array) -> Array | None:
-        """Return the gradient by the singular vectors at the peak; None if unstable or if bounds hold all."""
-        systems = self.closed(self.gains(y))
-        value, omega, place = largest_norm(systems, self.dt)
-        if not math.isfinite(value):
-            return None
-        left, _, right = np.linalg.svd(self._response(systems[place], omega))
-        slope = np.zeros(y.size)
-        for i in range(y.size):
-            up, down = y.copy(), y.copy()
-            up[i], down[i] = y[i] + _DIFFERENCE, y[i] - _DIFFERENCE
-            ends = (np.clip(up, self.low, self.high) - np.clip(down, self.low, self.high))[i]
-            if ends <= 0.0:
-                continue
-            ahead, behind = (self._response(self.closed(self.gains(end))[place], omega) for end in (up, down))
-            change = ahead - behind
-            slope[i] = float((left[:, 0].conj() @ change @ right[0].conj()).real) / ends
-        return slope
-
-    def _response(self, matrices: System, omega: float) -> NDArray[np.complex128]:
-        if not math.isfinite(omega):
-            return matrices[3].astype(np.complex128)
-        return np.asarray(transfer(*matrices, 1j * omega if self.dt is None else np.exp(1j * omega * self.dt))[0])
-
-    def _descend(
-        self,
-        y: Array,
-        of: Callable[[Array], float],
-        slope_of: Callable[[Array], Array | None],
-        enough: Callable[[float], bool],
-    ) -> tuple[Array, float]:
-        """Minimise by BFGS with a weak Wolfe search by bisection."""
-        value, slope = of(y), slope_of(y)
-        inverse = np.eye(y.size)
-        for _ in range(_ITERATIONS):
-            if slope is None or enough(value):
-                break
-            direction = -inverse @ slope
-            fall = float(slope @ direction)
-            if fall >= 0.0 or not math.isfinite(fall):
-                inverse, direction = np.eye(y.size), -slope
-                fall = -float(slope @ slope)
-            if fall > -1e-16:
-                break
-            step, least, most = min(1.0, 1.0 / float(np.linalg.norm(direction))), 0.0, math.inf
-            new, reached, fresh = y, value, slope
-            for _ in range(_SEARCHES):
-                trial = y + step * direction
-                seen = of(trial)
-                if not seen <= value + 1e-4 * step * fall:
-                    most = step
-                else:
-                    new, reached = trial, seen
-                    there = slope_of(trial)
-                    if there is None:
-                        break
-                    fresh = there
-                    if float(there @ direction) >= 0.9 * fall:
-                        break
-                    least = step
-                step = 2.0 * step if math.isinf(most) else 0.5 * (least + most)
-            if new is y or value - reached < 1e-7 * abs(value):
-                y, value = (new, reached) if reached < value else (y, value)
-                break
-            moved, turned = new - y, fresh - slope
-            product = float(moved @ turned)
-            if product > 1e-14:
-                half = np.eye(y.size) - np.outer(moved, turned) / product
-                inverse = half @ inverse @ half.T + np.outer(moved, moved) / product
-            y, value, slope = new, reached, fresh
-        return y, value
-
-
-def _shortest(rows: Array) -> Array:
-    """Return the shortest vector of the convex hull of the rows, by non-negative least squares."""
-    from scipy.optimize import nnls  # imported late: most commands start without it
-
-    # min |w R| with w >= 0 and sum w = 1: a row of large weight asks for the sum.
-    heavy = 1e3 * max(1.0, float(np.abs(rows).max()))
-    weights, _ = nnls(np.vstack([rows.T, np.full((1, len(rows)), heavy)]), np.append(np.zeros(rows.shape[1]), heavy))
-    total = float(weights.sum())
-    return np.asarray(weights @ rows / total if total > 0.0 else rows.mean(axis=0))
+    def _sizes(self, gains: Array, omega: Array) -> Array:
+        places = np.exp(1j * omega * self.dt)
+        return np.concatenate(
+            [np.linalg.svd(transfer(*one, places), compute_uv=False).max(axis=1) for one in self.closed(gains)]
+        )
 
 
 def _error(what: str, remedy: str) -> ParameterError:

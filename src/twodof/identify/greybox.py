@@ -546,11 +546,11 @@ def _comparisons(
 
 
 def _validation(
-    problem: Problem, found: Disturbed, records: Sequence[Record], like: str, values: Mapping[str, float]
+    problem: Problem, found: Disturbed, records: Sequence[Record], like: str, given: Mapping[str, float]
 ) -> tuple[Comparison, ...]:
     """Simulate records that the fit did not use, with the values of record `like`; local unknowns are fitted.
 
-    `values` has their first guesses, by "unknown[record]".
+    `given` has their first guesses and the values of those that are not fitted, by unknown or "unknown[record]".
     """
     x, predicts = found.minimum.x, found.predictor is not None
     if found.predictor is not None:
@@ -565,7 +565,6 @@ def _validation(
     shared = {name: value for name, value in values.items() if not unknowns[name].local}
     local = {slot.unknown.name for slot in problem.slots if slot.unknown.local}
     for record in records:
-        first = {name: value for name, value in values.items() if name.endswith(f"[{record.name}]")}
-        own = Problem(problem.structure, [record], local, shared | first)
+        own = Problem(problem.structure, [record], local, {**given, **shared})
         compared.extend(_comparisons(own, _solve(own, {}).x if local else own.x0, predicts=predicts))
     return tuple(compared)

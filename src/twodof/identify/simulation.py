@@ -106,7 +106,7 @@ def predict_ahead(
         error, pieces = samples.value - simulated, pieces_of(samples.position)
         if isinstance(values, Estimate):
             models = values.disturbance.noise
-            noise = models.get(f"{name}[{record.name}]", models.get(name))
+            noise = models.get(f"{name}[{record.flight or record.name}]", models.get(name))
         else:
             noise = autoregression(error, pieces)
         if noise is not None:
