@@ -10,7 +10,7 @@ from tests.faults.virtual_time import on_virtual_time
 from tests.faults.whole import GROUND, Whole, silent, stands
 from twodof.errors import LinkLost, RefusalReason, Rejected
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.setpoints import pitch
+from twodof.gcs.setpoints import setpoint
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps
@@ -56,7 +56,7 @@ async def test_what_the_other_commands_in_flight_is_refused_counted_and_changes_
                 await refused()
         with pytest.raises(Rejected, match="system 250, component 190 holds"):
             await other.set_pitch(-0.3, thrust=0.8)
-        other.setpoints.hold(pitch(-0.3, 0.8))  # as one would that does not ask
+        other.setpoints.hold(setpoint("theta", -0.3, 0.8))  # as one would that does not ask
         await other.run(1.0)
         assert silent(whole.since(first))
         assert {round(step.asked.theta0, 3) for step in whole.since(first)} == {0.1}

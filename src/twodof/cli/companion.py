@@ -10,7 +10,7 @@ import typer
 
 from twodof.cli.connection import run_until_signal
 from twodof.cli.options import Index, Json, argument, flag, option
-from twodof.cli.output import print_json, say_line
+from twodof.cli.output import print_start, say_line
 from twodof.companion.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
 from twodof.companion.companion import Companion
 from twodof.companion.links import Serve, px4_links
@@ -141,10 +141,7 @@ async def _fly(options: _Options, program: Path, restarts: RestartPolicy, limits
 
 def _print_links(options: _Options, made: Companion) -> None:
     """Print where clients can connect."""
-    if options.json:
-        rows = [{"url": url, "rates": rates} for url, rates in made.urls]
-        print_json({"fcu": options.vehicle, "system": options.system, "serve": rows}, indent=None)
-    else:
-        sys.stdout.write(f"flight controller {options.vehicle}, system {options.system}\n")
-        sys.stdout.writelines(f"listening on {url} ({rates} rates)\n" for url, rates in made.urls)
-    sys.stdout.flush()
+    rows = [{"url": url, "rates": rates} for url, rates in made.urls]
+    links = "".join(f"listening on {url} ({rates} rates)\n" for url, rates in made.urls)
+    text = f"flight controller {options.vehicle}, system {options.system}\n{links}"
+    print_start(options.json, {"fcu": options.vehicle, "system": options.system, "serve": rows}, text)

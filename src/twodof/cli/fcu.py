@@ -1,14 +1,13 @@
 """`twodof fcu`: a virtual drone that speaks MAVLink, until it is interrupted."""
 
 import asyncio
-import sys
 from pathlib import Path
 from typing import Annotated
 
 from twodof.cli import options
 from twodof.cli.connection import run_until_signal
 from twodof.cli.options import Json, option
-from twodof.cli.output import print_json
+from twodof.cli.output import print_start
 from twodof.fleet.local_drone import controller_in_words
 from twodof.flight.controller_store import data_folder
 from twodof.flight.starters import DIAGRAM_HELP
@@ -88,13 +87,13 @@ async def serve(drone: VirtualDrone, urls: list[str], json: bool) -> None:
     async with drone:
         opened = [await drone.listen(url) for url in urls]
         what = drone.flown
-        if json:
-            lockstep = drone.controller.lockstep
-            flies = {"controller": what.controller, "changed": what.changed}
-            said = {"system": drone.server.system, "lockstep": lockstep, "listening": opened} | flies
-            print_json(said, indent=None)
-        else:
-            sys.stdout.writelines(f"listening on {url}\n" for url in opened)
-            sys.stdout.write(f"{controller_in_words(what.controller, what.changed)}\n")
-            sys.stdout.flush()
+        document = {
+            "system": drone.server.system,
+            "lockstep": drone.controller.lockstep,
+            "listening": opened,
+            "controller": what.controller,
+            "changed": what.changed,
+        }
+        links = "".join(f"listening on {url}\n" for url in opened)
+        print_start(json, document, f"{links}{controller_in_words(what.controller, what.changed)}\n")
         await drone.wait()

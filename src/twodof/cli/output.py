@@ -32,6 +32,15 @@ def print_json(document: Any, indent: int | None = 2) -> bool:
     return True
 
 
+def print_start(json: bool, document: Any, text: str) -> None:
+    """Print where a program that goes on running is reached: with `json` the document on one line, else the text."""
+    if json:
+        print_json(document, indent=None)
+    else:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+
+
 def table(*columns: str, right: Iterable[int] = (), **more: Any) -> Table:
     """Return a table without lines, whose columns at the places `right` are aligned there; `more` as rich's Table."""
     made = Table(*columns, box=None, pad_edge=False, **more)

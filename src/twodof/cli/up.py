@@ -18,7 +18,7 @@ from twodof.cli import options
 from twodof.cli.connection import run_until_signal
 from twodof.cli.interrupts import INTERRUPTED
 from twodof.cli.options import Json, flag, option
-from twodof.cli.output import print_json, say_line
+from twodof.cli.output import print_start, say_line
 from twodof.fleet.local_drone import MOST_DRONES, ControllerReport, LocalDrone, check_ports_free, controller_in_words
 from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet, LocalPage
 from twodof.fleet.local_fleet import page_port as page_port_of
@@ -181,32 +181,24 @@ def print_places(
 ) -> None:
     """Print the addresses of the drones and their `page`, and `who` may open it: as text or one line of JSON."""
     rows = [place.described(lockstep) | flown.get(place.index, ControllerReport())._asdict() for place in places]
-    if json:
-        print_json({"drones": rows, "lockstep": lockstep, "page": page}, indent=None)
-        return
-    if page is not None:
-        sys.stdout.write(f"the page         {page['command']}\n  only to watch  {page['watch']}\n{who}")
+    text = "" if page is None else f"the page         {page['command']}\n  only to watch  {page['watch']}\n{who}"
     for row in rows:
         key = f', key="{row["key"]}"' if row["key"] else ""
         what = controller_in_words(row["controller"], row["changed"])
-        sys.stdout.write(
-            f'drone {row["system"]} is up and {what}\n  Python          Drone.connect("{row["drone"]}"{key})\n'
-        )
+        text += f'drone {row["system"]} is up and {what}\n  Python          Drone.connect("{row["drone"]}"{key})\n'
         if not lockstep:
             mavsdk = "" if key else f"  MAVSDK          {row['mavsdk']}\n"
-            sys.stdout.write(f"{mavsdk}  MAVProxy        mavproxy.py --master={row['mavproxy']}\n")
+            text += f"{mavsdk}  MAVProxy        mavproxy.py --master={row['mavproxy']}\n"
     if key:
-        sys.stdout.write("All is signed: MAVProxy and QGroundControl are to be given the key, MAVSDK takes none.\n")
-    sys.stdout.write(
+        text += "All is signed: MAVProxy and QGroundControl are to be given the key, MAVSDK takes none.\n"
+    text += (
         "Time stands still but when a client of ours lets it pass (`drone.run`). MAVSDK, MAVProxy and QGroundControl\n"
         "grant none and see it stand still: leave --lockstep out for them.\n"
         if lockstep
         else "QGroundControl finds them by itself (UDP 14550).\n"
     )
-    sys.stdout.write(
-        f"A program that ends is started again, up to {MOST_RESTARTS} times in {WITHIN_S:g} s. Ctrl-C ends all.\n"
-    )
-    sys.stdout.flush()
+    text += f"A program that ends is started again, up to {MOST_RESTARTS} times in {WITHIN_S:g} s. Ctrl-C ends all.\n"
+    print_start(json, {"drones": rows, "lockstep": lockstep, "page": page}, text)
 
 
 def lab(
@@ -248,9 +240,6 @@ def lab(
 def print_links(settings: LabSettings, port: int, json: bool) -> None:
     """Print the links as text or as one line of JSON."""
     found = links(settings, port)
-    if json:
-        print_json({"port": port, "page": found}, indent=None)
-        return
-    sys.stdout.write(f"listening on http://{settings.host}:{port}\nthe page         {found['command']}\n")
-    sys.stdout.write(f"only to watch    {found['watch']}\n{link_warning(settings)}")
-    sys.stdout.flush()
+    text = f"listening on http://{settings.host}:{port}\nthe page         {found['command']}\n"
+    text += f"only to watch    {found['watch']}\n{link_warning(settings)}"
+    print_start(json, {"port": port, "page": found}, text)

@@ -43,10 +43,7 @@ def read_log(path: str | Path, topics: bool = False) -> FlightLog:
     With `topics`, a .ulg has a channel `TOPIC/FIELD` for each field of each topic as well.
     """
     suffix = _check(path)
-    if topics and suffix == ".ulg":
-        with naming_file(path):
-            return log_of(*fence.read(_decoded, path, ".ulg_topics", needs=_MODULES[suffix]))
-    return _read(path, suffix)
+    return _read(path, ".ulg_topics" if topics and suffix == ".ulg" else suffix)
 
 
 def read_columns(path: str | Path, time: str = "", period: str | float = "") -> FlightLog:
@@ -64,9 +61,9 @@ def read_columns(path: str | Path, time: str = "", period: str | float = "") -> 
     return _read(path, suffix, time, str(period))
 
 
-def _read(path: str | Path, suffix: str, *clock: str) -> FlightLog:
+def _read(path: str | Path, form: str, *clock: str) -> FlightLog:
     with naming_file(path):
-        return log_of(*fence.read(_decoded, path, suffix, *clock, needs=_MODULES[suffix]))
+        return log_of(*fence.read(_decoded, path, form, *clock, needs=_module(form)))
 
 
 def attachments(path: str | Path) -> list[Attachment]:
@@ -164,10 +161,13 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: boo
 
 
 def _function(verb: str, suffix: str) -> Callable[..., Any]:
-    function: Callable[..., Any] = getattr(
-        importlib.import_module(_MODULES[suffix.partition("_")[0]]), f"{verb}_{suffix[1:]}"
-    )
+    function: Callable[..., Any] = getattr(importlib.import_module(_module(suffix)), f"{verb}_{suffix[1:]}")
     return function
+
+
+def _module(form: str) -> str:
+    """Return the module of a suffix, or of a suffix with a kind of reading: ".ulg_topics"."""
+    return _MODULES[form.partition("_")[0]]
 
 
 def _check(path: str | Path, wide: bool = False) -> str:

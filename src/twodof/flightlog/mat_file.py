@@ -114,9 +114,11 @@ def _described(name: str, value: object) -> str:
 
 def _vectors(held: Mapping[str, Any], where: str, time: str, period: str) -> dict[str, Channel]:
     """Return the real vectors as channels, with `time` those of its length. Raises LogError."""
+    # The fields of a 1 x 1 struct of matrices are variables too.
+    fields = {f"{name}.{field}": part for name, value in held.items() for field, part in _struct(value).items()}
     numbers = {
         name: np.asarray(value, dtype=np.float64).ravel()
-        for name, value in _flat(held).items()
+        for name, value in {**held, **fields}.items()
         if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.size == max(value.shape, default=0)
     }
     there = nearest(time or period, [_described(*item) for item in held.items()])
@@ -145,12 +147,6 @@ def _vectors(held: Mapping[str, Any], where: str, time: str, period: str) -> dic
         what = f"no vector is as long as {time!r:.80} ({next(iter(times))})" if time else "holds no vector"
         raise LogError(what, where, f"give vectors of one length; there are: {there}")
     return channels
-
-
-def _flat(held: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the variables, the fields of a 1 x 1 struct of matrices as variables too."""
-    fields = {f"{name}.{field}": part for name, value in held.items() for field, part in _struct(value).items()}
-    return {**held, **fields}
 
 
 def _struct(value: object) -> dict[str, NDArray[np.float64]]:

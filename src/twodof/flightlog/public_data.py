@@ -10,7 +10,7 @@ import hashlib
 import os
 import threading
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
@@ -117,92 +117,46 @@ _ROWS = (
 )
 PUBLIC_LOGS: Mapping[str, PublicLog] = MappingProxyType({row.name: row for row in _ROWS})
 
-_PYULOG = "https://raw.githubusercontent.com/PX4/pyulog/3cf17793f14709713ab297d3743314c658874068/test"
-_SCIPY = "https://raw.githubusercontent.com/scipy/scipy/v1.17.1/scipy/io/matlab/tests/data"
-# Both keep them in Git LFS, which this host serves.
-_MCAP = "https://media.githubusercontent.com/media/foxglove/mcap/95d0673564eac0b27fd9a8616083fdd47c4c2ec7"
-_ULOG = "https://media.githubusercontent.com/media/foxglove/ulog/fcb6db0820b47829c09262588764fe2cf3af9471"
-_FILES = (
-    ("ulog-px4-2016", f"{_PYULOG}/sample.ulg", "81952e6059bc095717e7911c010e07f85749d6b04d332a5ffc51575a3fd0a558"),
-    (
-        "ulog-px4-2019-appended",
-        f"{_PYULOG}/sample_appended_multiple.ulg",
-        "daf30f3224303e39d5c97701e048e84ba04480797e369502331f45ab2e99a2b7",
-    ),
-    (
-        "ulog-px4-small",
-        f"{_PYULOG}/sample_log_small.ulg",
-        "68d1020f688109f027dba08d2950247cc0ae34aaefdcf37e4a7d60838f3e1aa3",
-    ),
-    (
-        "ulog-px4-tagged",
-        f"{_PYULOG}/sample_logging_tagged_and_default_params.ulg",
-        "32f564608d46caf5a4cbb1cb0cd0dc839fb9512b06c6d1384fb96ec3d6c9173d",
-    ),
-    (
-        "ulog-px4-events",
-        f"{_PYULOG}/sample_px4_events.ulg",
-        "4b43a23a7b7f649004facba5c7835d800bbc8cc13e71cbc96678d971451e3d7e",
-    ),
-    (
-        "ulog-truncated",
-        f"{_ULOG}/tests/truncated.ulg",
-        "da9ec75b12b92b98bdf6974d578679d416459bfe7102b8820dc982f696e1f423",
-    ),
-    (
-        "mcap-demo",
-        f"{_MCAP}/testdata/mcap/demo.mcap",
-        "b90a0af442bfc6aaf31d7ae0a361f04d2a4eecca7168f9917391b74697af5c8c",
-    ),
-    (
-        "mcap-one-message",
-        f"{_MCAP}/tests/conformance/data/OneMessage/OneMessage-ch-chx-mx-pad-rch-rsh-st-sum.mcap",
-        "f380e836539fa2bab3d2de4b052aaef82fac40d7a506d994a283f480345daf62",
-    ),
-    (
-        "mcap-one-attachment",
-        f"{_MCAP}/tests/conformance/data/OneAttachment/OneAttachment-ax-pad-st-sum.mcap",
-        "37faf0439dcf55de3be64cff668371987dfafab1f9e78102c74845716ed78a5b",
-    ),
-    (
-        "mcap-not-closed",
-        f"{_MCAP}/rust/mcap/tests/data/chunk_not_closed.mcap",
-        "7b49182be8db86f194a34617cab44720d50460d9caa7ec54cbcf5c19700b8578",
-    ),
-    (
-        "matlab-two-vectors",
-        f"{_SCIPY}/testmulti_7.4_GLNX86.mat",
-        "62be182823f6ef231694ae5438adc1004380c8cafe9b4c9819c8fcbf5b42c7e2",
-    ),
-    (
-        "matlab-hdf5",
-        f"{_SCIPY}/testhdf5_7.4_GLNX86.mat",
-        "66855b1a4dfcfcc0a9a59d0b46be8e134ec72fc641e2b1d780c8fd2f05018068",
-    ),
-    (
-        "matlab-v4",
-        f"{_SCIPY}/test_mat4_le_floats.mat",
-        "db1be7dc2838d37f6c84997ad93f9b1fe55e54ffdb2adc1daaf19f231bfc149e",
-    ),
-    (
-        "matlab-object",
-        f"{_SCIPY}/testobject_7.4_GLNX86.mat",
-        "e4ec0b4cc802065c6c0df8845339558ea7126d5406f97e66230e497d6df04170",
-    ),
-    (
-        "matlab-functions",
-        f"{_SCIPY}/some_functions.mat",
-        "240ef7ea81b7b3c3cf74a85db182be06774b52c1ab24224021106c79220466d3",
-    ),
-    (
-        "matlab-sparse",
-        f"{_SCIPY}/testsparse_7.4_GLNX86.mat",
-        "41b64e0aa22f9da2b45ce1f791a49705efa6ff5fd16f7de9b2af04f963120535",
-    ),
-)
-FOREIGN_FILES: Mapping[str, PublicLog] = MappingProxyType(
-    {name: PublicLog(name, url, sha256, "", suffix=url[url.rindex(".") :]) for name, url, sha256 in _FILES}
-)
+_REPOSITORIES = {
+    "pyulog": "https://raw.githubusercontent.com/PX4/pyulog/3cf17793f14709713ab297d3743314c658874068/test",
+    "scipy": "https://raw.githubusercontent.com/scipy/scipy/v1.17.1/scipy/io/matlab/tests/data",
+    # Both keep them in Git LFS, which this host serves.
+    "mcap": "https://media.githubusercontent.com/media/foxglove/mcap/95d0673564eac0b27fd9a8616083fdd47c4c2ec7",
+    "ulog": "https://media.githubusercontent.com/media/foxglove/ulog/fcb6db0820b47829c09262588764fe2cf3af9471",
+}
+_FILES = """
+ulog-px4-2016 pyulog sample.ulg 81952e6059bc095717e7911c010e07f85749d6b04d332a5ffc51575a3fd0a558
+ulog-px4-2019-appended pyulog sample_appended_multiple.ulg
+    daf30f3224303e39d5c97701e048e84ba04480797e369502331f45ab2e99a2b7
+ulog-px4-small pyulog sample_log_small.ulg 68d1020f688109f027dba08d2950247cc0ae34aaefdcf37e4a7d60838f3e1aa3
+ulog-px4-tagged pyulog sample_logging_tagged_and_default_params.ulg
+    32f564608d46caf5a4cbb1cb0cd0dc839fb9512b06c6d1384fb96ec3d6c9173d
+ulog-px4-events pyulog sample_px4_events.ulg 4b43a23a7b7f649004facba5c7835d800bbc8cc13e71cbc96678d971451e3d7e
+ulog-truncated ulog tests/truncated.ulg da9ec75b12b92b98bdf6974d578679d416459bfe7102b8820dc982f696e1f423
+mcap-demo mcap testdata/mcap/demo.mcap b90a0af442bfc6aaf31d7ae0a361f04d2a4eecca7168f9917391b74697af5c8c
+mcap-one-message mcap tests/conformance/data/OneMessage/OneMessage-ch-chx-mx-pad-rch-rsh-st-sum.mcap
+    f380e836539fa2bab3d2de4b052aaef82fac40d7a506d994a283f480345daf62
+mcap-one-attachment mcap tests/conformance/data/OneAttachment/OneAttachment-ax-pad-st-sum.mcap
+    37faf0439dcf55de3be64cff668371987dfafab1f9e78102c74845716ed78a5b
+mcap-not-closed mcap rust/mcap/tests/data/chunk_not_closed.mcap
+    7b49182be8db86f194a34617cab44720d50460d9caa7ec54cbcf5c19700b8578
+matlab-two-vectors scipy testmulti_7.4_GLNX86.mat 62be182823f6ef231694ae5438adc1004380c8cafe9b4c9819c8fcbf5b42c7e2
+matlab-hdf5 scipy testhdf5_7.4_GLNX86.mat 66855b1a4dfcfcc0a9a59d0b46be8e134ec72fc641e2b1d780c8fd2f05018068
+matlab-v4 scipy test_mat4_le_floats.mat db1be7dc2838d37f6c84997ad93f9b1fe55e54ffdb2adc1daaf19f231bfc149e
+matlab-object scipy testobject_7.4_GLNX86.mat e4ec0b4cc802065c6c0df8845339558ea7126d5406f97e66230e497d6df04170
+matlab-functions scipy some_functions.mat 240ef7ea81b7b3c3cf74a85db182be06774b52c1ab24224021106c79220466d3
+matlab-sparse scipy testsparse_7.4_GLNX86.mat 41b64e0aa22f9da2b45ce1f791a49705efa6ff5fd16f7de9b2af04f963120535
+"""
+"""Name, repository, path in it and checksum of each file."""
+
+
+def _foreign() -> Iterator[PublicLog]:
+    words = iter(_FILES.split())
+    for name, repository, path, sha256 in zip(words, words, words, words, strict=True):
+        yield PublicLog(name, f"{_REPOSITORIES[repository]}/{path}", sha256, "", suffix=Path(path).suffix)
+
+
+FOREIGN_FILES: Mapping[str, PublicLog] = MappingProxyType({row.name: row for row in _foreign()})
 """Files of the tests of pyulog and foxglove/ulog (PX4's logs), foxglove/mcap and scipy, by name."""
 
 

@@ -21,7 +21,6 @@ from twodof.errors import (
     shown,
 )
 from twodof.excitation import Excitation
-from twodof.gcs import setpoints
 from twodof.gcs.active_controller import ActiveController, read_active_controller
 from twodof.gcs.arming import DroneArming
 from twodof.gcs.clock import DroneClock, DroneRestarted
@@ -37,13 +36,12 @@ from twodof.gcs.lease import LeaseClient
 from twodof.gcs.parameters import AsyncParameters
 from twodof.gcs.recording import Recording, record
 from twodof.gcs.session import SILENT_S, Deadline, DroneSession, ProgramPaused
-from twodof.gcs.setpoints import SetpointStream
+from twodof.gcs.setpoints import SetpointStream, setpoint
 from twodof.gcs.telemetry import Telemetry
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import GROUND_STATION
 from twodof.link.mavlink.messages import channel_mask, message
-from twodof.link.mavlink.setpoints import SetPoint
 from twodof.link.signing import Key, read_key
 from twodof.link.transport.base import Transport
 from twodof.link.transport.url import Ports
@@ -256,7 +254,7 @@ class AsyncDrone(DroneView):
             **self.session.target,
         )
         with self.clock.resetting():
-            got = await self.session.ask(lambda _: asked, ("TWODOF_RIG",), _reset_answer, deadline)
+            got = await self.session.ask(asked, ("TWODOF_RIG",), _reset_answer, deadline)
             if got.flags & _REFUSED:
                 said = await self.commands.words(spoken, deadline)
                 code = self.commands.refusals.get("TWODOF_RIG_RESET", RefusalReason.OTHER)
@@ -351,27 +349,27 @@ class AsyncDrone(DroneView):
 
     async def set_moment(self, M: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Fly a normalised pitch moment (-1 to 1) about the trim in open loop; `thrust` 0 to 1, None: unchanged."""
-        setpoint = setpoints.moment(M, thrust)
+        asked = setpoint("M", M, thrust)
         self._needs_ours("a moment without a loop", "TWODOF_OPENLOOP")
-        await self._follow(setpoint, timeout)
+        await self.setpoints.follow(asked, self.session.deadline(timeout, _FOLLOWING))
 
     async def set_pitch(self, theta: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
-        deadline = self.session.deadline(timeout, _FOLLOWING)
-        await self.setpoints.follow(setpoints.pitch(theta, await self._thrust(thrust, deadline)), deadline)
+        await self._follow("theta", theta, timeout, thrust)
 
     async def set_pitch_rate(self, q: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch rate [rad/s]; `thrust` as in `set_pitch`."""
-        deadline = self.session.deadline(timeout, _FOLLOWING)
-        await self.setpoints.follow(setpoints.pitch_rate(q, await self._thrust(thrust, deadline)), deadline)
+        await self._follow("q", q, timeout, thrust)
 
     async def set_velocity(self, v: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a velocity along the rail [m/s], with an acceleration [m/s^2] fed forward."""
-        await self._follow(setpoints.velocity(v, acceleration), timeout)
+        asked = setpoint("v", v, acceleration=acceleration)
+        await self.setpoints.follow(asked, self.session.deadline(timeout, _FOLLOWING))
 
     async def set_position(self, x: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a position along the rail [m], with an acceleration [m/s^2] fed forward."""
-        await self._follow(setpoints.position(x, acceleration), timeout)
+        asked = setpoint("x", x, acceleration=acceleration)
+        await self.setpoints.follow(asked, self.session.deadline(timeout, _FOLLOWING))
 
     def stop_setpoints(self) -> None:
         """Stop sending set-points: after .5 s the drone levels itself."""
@@ -443,17 +441,15 @@ class AsyncDrone(DroneView):
             self.lease.stop()
             await self.session.close()
 
-    async def _follow(self, setpoint: SetPoint, timeout: float) -> None:
-        await self.setpoints.follow(setpoint, self.session.deadline(timeout, _FOLLOWING))
-
-    async def _thrust(self, thrust: float | None, deadline: Deadline) -> float:
-        if thrust is not None:
-            self._last_thrust = thrust
-        if self._last_thrust is not None:
-            return self._last_thrust
-        if not self.ours:
+    async def _follow(self, axis: str, value: float, timeout: float, thrust: float | None) -> None:
+        """Follow a set-point that needs a thrust: the one given, the last one, or the parameter for hovering."""
+        deadline = self.session.deadline(timeout, _FOLLOWING)
+        self._last_thrust = thrust = self._last_thrust if thrust is None else thrust
+        if thrust is None and not self.ours:
             raise ParameterError("the thrust for hovering is unknown on this drone", "set-point", "give thrust=")
-        return await self.parameters.read(HOVER, deadline.left)
+        if thrust is None:
+            thrust = await self.parameters.read(HOVER, deadline.left)
+        await self.setpoints.follow(setpoint(axis, value, thrust), deadline)
 
     def _needs_ours(self, what: str, name: str) -> None:
         """Raise Rejected at once if the drone is a plain PX4, which does not know the message `name`."""

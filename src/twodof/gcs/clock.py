@@ -128,7 +128,7 @@ class DroneClock:
         """Grant time up to a tick and return the tick reached. Raises Rejected if that is below `least`."""
         session, number = self._session, next(self._numbers)
         return await session.ask(
-            lambda _: message("TWODOF_GRANT", until=until % _TICKS, number=number % _TICKS, **session.target),
+            message("TWODOF_GRANT", until=until % _TICKS, number=number % _TICKS, **session.target),
             ("TWODOF_TICK",),
             lambda got: self._come(got, number % _TICKS, least, deadline),
             deadline,

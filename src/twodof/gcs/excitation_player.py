@@ -73,10 +73,8 @@ class ExcitationPlayer:
         meant = self._clock.meant
 
         def begun(got: Any) -> tuple[int, int] | None:
-            if got.transfer != transfer:
+            if not _is_about(got, transfer, "excitation"):
                 return None
-            if got.state == _REFUSED:
-                raise _refusal(got, "excitation")
             waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, meant(got.start_tick))
             return (meant(got.start_tick), meant(got.end_tick)) if waits or got.state in _STATES else None
 
@@ -84,7 +82,7 @@ class ExcitationPlayer:
         before, playback = self.playback, ExcitationPlayback(transfer, 0, 0)
         self.playback, self._unconfirmed = playback, None
         try:
-            first, end = await self._session.ask(lambda _: start, _STATUS, begun, deadline)
+            first, end = await self._session.ask(start, _STATUS, begun, deadline)
         except BaseException:
             self.playback, self._unconfirmed = before, playback
             raise
@@ -117,9 +115,7 @@ class ExcitationPlayer:
             return True if playback.state in _OVER else None
 
         if playback.state not in _OVER:
-            await session.ask(
-                lambda _: asked, _STATUS, over, deadline, meanwhile=lambda: self._clock.one_tick(deadline)
-            )
+            await session.ask(asked, _STATUS, over, deadline, meanwhile=lambda: self._clock.one_tick(deadline))
 
     async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> bool:
         """Send the definition; return False if another session has played one under this number."""
@@ -132,10 +128,8 @@ class ExcitationPlayer:
             return last
 
         def answer(got: Any) -> bool | None:
-            if got.transfer != transfer:
+            if not _is_about(got, transfer, deadline.where):
                 return None
-            if got.state == _REFUSED:
-                raise _refusal(got, deadline.where)
             return True if got.state == _READY else False if _STATES.get(got.state) in _OVER else None
 
         return await session.ask(question, _STATUS, answer, deadline)
@@ -163,6 +157,13 @@ def loop_number(excitation: Excitation, loop: str | None) -> int:
             f"the excitation is in {excitation.unit}, the loop {loop} in {unit}", "excite", f'give unit="{unit}"'
         )
     return LOOPS.index(loop)
+
+
+def _is_about(got: Any, transfer: int, where: str) -> bool:
+    """Return True for the status of this transfer. Raises Rejected for its refusal."""
+    if got.transfer == transfer and got.state == _REFUSED:
+        raise _refusal(got, where)
+    return bool(got.transfer == transfer)
 
 
 def _refusal(got: Any, where: str) -> Rejected:

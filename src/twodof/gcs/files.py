@@ -111,7 +111,7 @@ class AsyncFiles:
             fits = found.asked == op and found.sequence == (sequence + 1) & 0xFFFF
             return found if fits and found.op in (FtpOperation.ACK, FtpOperation.NAK) else None
 
-        found = await session.ask(lambda _: question, ("FILE_TRANSFER_PROTOCOL",), answer, deadline)
+        found = await session.ask(question, ("FILE_TRANSFER_PROTOCOL",), answer, deadline)
         if found.op == FtpOperation.ACK:
             return found
         code = found.data[0] if found.size else 0
@@ -182,7 +182,7 @@ class AsyncLogs:
                 found[got.id] = LogEntry(got.id, got.size, got.time_utc)
             return found if len(found) >= min(got.num_logs, MOST_LOGS) else None
 
-        await self._session.ask(lambda _: asked, ("LOG_ENTRY",), accept, deadline, prolonged=True)
+        await self._session.ask(asked, ("LOG_ENTRY",), accept, deadline, prolonged=True)
         return [found[number] for number in sorted(found)]
 
     async def download(

@@ -52,7 +52,7 @@ class LeaseClient:
         """
         deadline = self._session.deadline(timeout, "asking for the lease")
         began, before, ends = self._session.now, None, 0.0
-        while not await self._session.ask(lambda _: self._message(ASK), _ANSWER, self._granted, deadline):
+        while not await self._session.ask(self._message(ASK), _ANSWER, self._granted, deadline):
             if self.holder != before:
                 before, ends = self.holder, self._ends
             if self.holder is not None:
@@ -106,7 +106,7 @@ class LeaseClient:
         before, self._withholds = self._withholds, withhold  # at once: a renewal may be due before the answer
         ours = False
         try:
-            ours = bool(await self._session.ask(lambda _: self._message(ASK), _ANSWER, answered, deadline))
+            ours = bool(await self._session.ask(self._message(ASK), _ANSWER, answered, deadline))
         finally:
             if not ours:
                 self._withholds = before
@@ -118,9 +118,7 @@ class LeaseClient:
         self.stop()
         if self.ours:
             deadline = self._session.deadline(timeout, "giving up the lease")
-            await self._session.ask(
-                lambda _: self._message(GIVE_UP), _ANSWER, lambda _: not self.ours or None, deadline
-            )
+            await self._session.ask(self._message(GIVE_UP), _ANSWER, lambda _: not self.ours or None, deadline)
 
     def stop(self) -> None:
         """Stop renewing it; withheld tuning ends with the lease."""

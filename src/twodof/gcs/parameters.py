@@ -449,7 +449,7 @@ class AsyncParameters:
             return self._entry(got) if got.param_id == name else None
 
         asked = message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._session.target)
-        return await self._session.ask(lambda _: asked, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
+        return await self._session.ask(asked, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
 
     def _refused(self, got: Any, name: str) -> None:
         if got.param_id != name or not got.error:

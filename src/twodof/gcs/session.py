@@ -249,7 +249,7 @@ class DroneSession:
 
     async def ask(
         self,
-        question: Callable[[int], Any],
+        question: Any,
         answers: tuple[str, ...],
         accept: Callable[[Any], T | None],
         deadline: Deadline,
@@ -257,15 +257,16 @@ class DroneSession:
         prolonged: bool = False,
         meanwhile: Callable[[], Awaitable[None]] | None = None,
     ) -> T:
-        """Send `question(attempt)` every `retry_s` [s] until `accept` returns a value for an answer; return that value.
+        """Send a question every `retry_s` [s] until `accept` returns a value for an answer; return that value.
 
-        `answers` are the names of messages that may answer. A question that is None is not sent. If `prolonged`, every
+        `question` is the message, or a function of the number of the attempt that returns it; None is not sent.
+        `answers` are the names of messages that may answer. If `prolonged`, every
         answer postpones the next question, for questions with many answers. `meanwhile` is awaited after each question
         and answer, to let the drone's time pass. Raises LinkLost, Timeout at the deadline, and exceptions of `accept`.
         """
         with self.listen(*answers) as heard:
             for attempt in count():
-                if (sent := question(attempt)) is not None:
+                if (sent := question(attempt) if callable(question) else question) is not None:
                     self.send(sent)
                 if meanwhile is not None:
                     await meanwhile()

@@ -5,9 +5,11 @@ ends with its process: then the drone's failsafe acts.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from math import ceil, degrees, pi
+from types import MappingProxyType
+from typing import Any
 
 from twodof.errors import LinkLost, ParameterError, RefusalReason, Rejected, is_number, shown
 from twodof.gcs.clock import SETPOINT_TICKS, DroneClock, SliceStarts
@@ -22,10 +24,19 @@ from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, TICK_S, VELOCITY
 PERIOD_S = 0.02
 LATE_S = 0.4
 """Delay of a set-point [s] after which the failsafe soon levels the drone (SAFE_SP_T)."""
-MOST_PITCH, MOST_RATE = pi / 2, 60.0
-"""[rad], [rad/s]: a larger number was probably meant in degrees; 60 rad/s is more than the gyro measures."""
-MOST_WAY, MOST_SPEED = 1.0, 5.0
-"""[m], [m/s]: a larger number was probably meant in millimetres; the rail is shorter."""
+AXES: Mapping[str, tuple[int, str, float, str]] = MappingProxyType(
+    {
+        "M": (OPEN_LOOP, "M_open", 1.0, ""),
+        "theta": (ATTITUDE, "theta0", pi / 2, "rad"),
+        "q": (RATE, "q0", 60.0, "rad/s"),
+        "v": (VELOCITY, "v0", 5.0, "m/s"),
+        "x": (POSITION, "x0", 1.0, "m"),
+    }
+)
+"""Loop, field of SetPoint, largest value and unit of each set-point.
+
+A larger angle was probably meant in degrees, a larger way in millimetres; 60 rad/s is more than the gyro measures.
+"""
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.
 _MODE_RETRY_S = 0.1
 _MESSAGES = ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "TWODOF_OPENLOOP")
@@ -43,52 +54,28 @@ def modes(setpoint: SetPoint) -> tuple[str, ...]:
     return ("manual", "offboard") if setpoint.loop == OPEN_LOOP else ("offboard",)
 
 
-def moment(M: float, thrust: float | None) -> SetPoint:
-    """Return an open-loop set-point of the normalised pitch moment; thrust None leaves the thrust unchanged."""
-    return SetPoint(OPEN_LOOP, M_open=_fraction("M", M, -1.0), thrust=None if thrust is None else _thrust(thrust))
+def setpoint(axis: str, value: float, thrust: float | None = None, acceleration: float | None = None) -> SetPoint:
+    """Return a set-point of one of AXES.
+
+    `thrust` is 0 to 1, None leaves it unchanged; `acceleration` [m/s^2] along the rail is fed forward. Raises
+    ParameterError for a number that is not finite or beyond its bounds.
+    """
+    loop, field, most, unit = AXES[axis]
+    given: dict[str, Any] = {field: _within(axis, value, -most, most, unit)}
+    if thrust is not None:
+        given["thrust"] = _within("thrust", thrust, 0.0, 1.0)
+    if acceleration is not None:
+        given["ax0"] = _number("acceleration", acceleration)
+    return SetPoint(loop, **given)
 
 
-def pitch(theta: float, thrust: float) -> SetPoint:
-    """Return a set-point of the pitch [rad] at a thrust of 0 to 1."""
-    return SetPoint(ATTITUDE, theta0=_within("theta", theta, MOST_PITCH, "rad"), thrust=_thrust(thrust))
-
-
-def pitch_rate(q: float, thrust: float) -> SetPoint:
-    """Return a set-point of the pitch rate [rad/s] at a thrust of 0 to 1."""
-    return SetPoint(RATE, q0=_within("q", q, MOST_RATE, "rad/s"), thrust=_thrust(thrust))
-
-
-def velocity(v: float, acceleration: float | None) -> SetPoint:
-    """Return a set-point of the velocity along the rail [m/s], with an acceleration [m/s^2] fed forward or None."""
-    return SetPoint(VELOCITY, v0=_within("v", v, MOST_SPEED, "m/s"), ax0=_acceleration(acceleration))
-
-
-def position(x: float, acceleration: float | None) -> SetPoint:
-    """Return a set-point of the position along the rail [m], with an acceleration [m/s^2] fed forward or None."""
-    return SetPoint(POSITION, x0=_within("x", x, MOST_WAY, "m"), ax0=_acceleration(acceleration))
-
-
-def _acceleration(acceleration: float | None) -> float | None:
-    return None if acceleration is None else _number("acceleration", acceleration)
-
-
-def _thrust(thrust: float) -> float:
-    return _fraction("thrust", thrust, 0.0)
-
-
-def _fraction(name: str, value: float, least: float) -> float:
+def _within(name: str, value: float, least: float, most: float, unit: str = "") -> float:
     found = _number(name, value)
-    if not least <= found <= 1.0:
-        remedy = "give a value within; nothing was sent"
-        raise ParameterError(f"{name} = {found:g} is outside {least:g} to 1", "set-point", remedy)
-    return found
-
-
-def _within(name: str, value: float, most: float, unit: str) -> float:
-    found = _number(name, value)
-    if abs(found) <= most:
+    if least <= found <= most:
         return found
-    what, remedy = f"{name} = {found:g} {unit} is beyond {most:g} {unit}", f"give it in {unit}"
+    what, remedy = f"{name} = {found:g} is outside {least:g} to {most:g}", "give a value within"
+    if unit:
+        what, remedy = f"{name} = {found:g} {unit} is beyond {most:g} {unit}", f"give it in {unit}"
     if unit.startswith("rad"):
         in_degrees = f"{degrees(found):.0f} {unit.replace('rad', 'deg')}, beyond {degrees(most):.0f}"
         what = f"angles are in radians: {name} = {found:g} {unit} is {in_degrees}"

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from twodof.errors import LogError, ParameterError, Rejected, shown
-from twodof.flightlog.atomic import atomic_write, make_folder, numbered
+from twodof.flightlog.atomic import make_folder, numbered, write_text
 from twodof.flightlog.provenance import read_bytes
 from twodof.lab.answers import NotThere
 
@@ -78,8 +78,7 @@ class NamedFiles:
             raise Rejected(f"there are {self._most} {self._kind}s already", f"{self._kind}s", "delete one of them")
         if path.exists() and not overwrite:
             raise Rejected(f"there is a {self._kind} '{name}'", f"{self._kind}s", "choose another name")
-        with atomic_write(path, "w") as file:
-            file.write(text)
+        write_text(path, text)
 
     def delete(self, name: str) -> None:
         """Delete a file. Raises NotThere."""
@@ -228,8 +227,7 @@ class LogShelf:
         """Keep notes beside the log; "" removes them. Raises NotThere, Rejected."""
         file = self._notes(self.ours(name))
         if text:
-            with atomic_write(file, "w") as stream:
-                stream.write(text)
+            write_text(file, text)
         else:
             file.unlink(missing_ok=True)
 

@@ -16,7 +16,7 @@ from twodof.design.pitch_family import PitchFamily, family_in
 from twodof.design.tuning_preview import GAINS, PitchLaw
 from twodof.errors import DiagramError, LogError, ParameterError, Rejected, TwodofError
 from twodof.flight.templates import ATTITUDE
-from twodof.flightlog.atomic import atomic_write, make_folder
+from twodof.flightlog.atomic import make_folder, write_text
 from twodof.flightlog.provenance import read_bytes
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.parameters import BY_NAME
@@ -137,8 +137,8 @@ class ModelFolder(NamedFiles):
             self.family(name)
         choices = {**self._choices(), str(drone): name}
         make_folder(self.folder)
-        with atomic_write(self.folder / _CHOICES, "w") as file:
-            json.dump({key: value for key, value in choices.items() if value is not None}, file)
+        kept = {key: value for key, value in choices.items() if value is not None}
+        write_text(self.folder / _CHOICES, json.dumps(kept))
 
     def _choices(self) -> dict[str, str]:
         try:

@@ -79,7 +79,6 @@ def _row(entry: ParameterEntry) -> dict[str, Any]:
 
 files_router = lab_router("/api/drones/{number}/parameters", "parameters")
 SnapshotName = Annotated[FileName, Path(description="Name of the snapshot.")]
-TEXT = "text/plain; charset=utf-8"
 
 
 class SnapshotRequest(RequestBody):
@@ -93,9 +92,7 @@ class SnapshotRequest(RequestBody):
 @files_router.get("/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def file(one: NamedDrone) -> Response:
     """Download all parameters as a file for QGroundControl (Vehicle Configuration, Parameters, Tools)."""
-    text = (await _now(one)).text()
-    headers = {"content-disposition": f'attachment; filename="drone-{one.number}.params"'}
-    return Response(text, media_type=TEXT, headers=headers)
+    return _download(await _now(one), f"drone-{one.number}")
 
 
 @files_router.post("/file", dependencies=[WATCHERS_MAY, takes(MAX_BYTES)])
@@ -133,8 +130,7 @@ async def snapshot(lab: CurrentLab, one: NamedDrone, name: SnapshotName, other: 
 @files_router.get("/snapshots/{name}/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def snapshot_file(lab: CurrentLab, one: NamedDrone, name: SnapshotName) -> Response:
     """Download a snapshot as a file for QGroundControl."""
-    headers = {"content-disposition": f'attachment; filename="{name}.params"'}
-    return Response(_of(lab, name).text(), media_type=TEXT, headers=headers)
+    return _download(_of(lab, name), name)
 
 
 @files_router.delete("/snapshots/{name}", status_code=204)
@@ -142,6 +138,11 @@ async def delete(lab: CurrentLab, one: NamedDrone, name: SnapshotName) -> Respon
     """Delete a snapshot."""
     lab.snapshots.delete(name)
     return Response(status_code=204)
+
+
+def _download(file: ParameterFile, name: str) -> Response:
+    headers = {"content-disposition": f'attachment; filename="{name}.params"'}
+    return Response(file.text(), media_type="text/plain; charset=utf-8", headers=headers)
 
 
 def _of(lab: CurrentLab, name: str) -> ParameterFile:
