@@ -40,8 +40,9 @@ MATLAB Functions and charts are no rows here: they become diagrams.
 - *Parameters* are those that the import reads, with the value that stands for a missing one, and the choices that it
   knows. Another choice, and in the same way a type that is not taken, is refused with the block's path and the
   parameter's name.
-- *Types* are those of the inputs that are taken with the default parameters: `double` stands for single too, which is
-  computed in the precision of the build; `[n]` for vectors.
+- *Types* are those of the inputs that are taken with the default parameters: `double` stands for single too; `[n]` for
+  vectors. A model that says single and double computes each in its own precision; in a model of singles alone a number
+  has the precision of the build: take `float32`.
 - *Tests* are the files in `tests/slx` that name the block.
 """
 

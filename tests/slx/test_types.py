@@ -536,3 +536,52 @@ def test_what_is_no_matrix_operation_is_refused(tmp_path: Path, block: tuple, sa
     blocks = [("Inport", "u", {"OutDataTypeStr": "double", "PortDimensions": "3"}), (kind, "b", values)]
     found = imported(tmp_path, [*blocks, ("Outport", "y", {})], [("u", "b"), ("b", "y")])
     assert said in found.refused[0].why
+
+
+# --- single among double
+
+
+def test_numbers_of_single_and_double_are_each_rounded_as_their_type_says(tmp_path: Path) -> None:
+    """Beside numpy's float32 and float64: each operation rounds once, and single meets double in double."""
+    code = """e(1) = Simulink.BusElement; e(1).Name = 's'; e(1).DataType = 'single';
+    e(2) = Simulink.BusElement; e(2).Name = 'd'; Both = Simulink.Bus; Both.Elements = e;"""
+    blocks = [
+        ("Inport", "a", {"OutDataTypeStr": "single"}),
+        ("Inport", "b", {"OutDataTypeStr": "double", "Port": "2"}),
+        ("Inport", "c", {"OutDataTypeStr": "single", "PortDimensions": "3", "Port": "3"}),
+        ("Inport", "bus", {"OutDataTypeStr": "Bus: Both", "Port": "4"}),
+        ("Gain", "tenth", {"Gain": ".1"}),
+        ("Sum", "less", {"Inputs": "+-"}),
+        ("Sum", "wide", {}),
+        ("Product", "ratio", {"Inputs": "*/"}),
+        ("DataTypeConversion", "narrow", {"OutDataTypeStr": "single"}),
+        ("DiscreteIntegrator", "integral", {"gainval": ".7", "InitialCondition": ".3"}),
+        ("Gain", "rows", {"Gain": "[.1 .2 .3; .4 .5 .6]", "Multiplication": "Matrix(K*u)"}),
+        ("UnitDelay", "before", {"InitialCondition": ".1"}),
+        ("Constant", "k", {"Value": "single(.7)"}),
+        ("Switch", "chosen", {"Criteria": "u2 > Threshold", "Threshold": ".1"}),
+        ("BusSelector", "fields", {"OutputSignals": "s,d"}),
+        ("Product", "squared", {}),
+        *((("Outport", f"y{k}", {"Port": str(k)})) for k in range(1, 9)),
+    ]
+    lines = [("a", "tenth"), ("tenth", "less:1"), ("a", "less:2"), ("less", "y1"), ("tenth", "wide:1"), ("b", "wide:2"),
+             ("wide", "y2"), ("less", "integral"), ("integral", "y3"), ("b", "ratio:1"), ("wide", "ratio:2"),
+             ("ratio", "narrow"), ("narrow", "before"), ("before", "y4"), ("c", "rows"), ("rows", "y5"),
+             ("tenth", "chosen:1"), ("b", "chosen:2"), ("k", "chosen:3"), ("chosen", "y6"), ("bus", "fields"),
+             ("fields:1", "squared:1"), ("fields:1", "squared:2"), ("squared", "y7"), ("fields:2", "y8")]  # fmt: skip
+    f4, (a, b, s) = np.float32, DRAWN.copy()
+    a, s, c = a.astype(f4), s.astype(f4), DRAWN.T.astype(f4)
+    g = a * f4(0.1)
+    less, narrow = g - a, (b / (g.astype(float) + b)).astype(f4)
+    x, integral = f4(0.3), []
+    for v in less:
+        integral.append(x)
+        x = f4(x + f4(0.7 * DT) * v)
+    m = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], f4)
+    rows = (m[:, 0] * c[:, :1] + m[:, 1] * c[:, 1:2]) + m[:, 2] * c[:, 2:]
+    wanted = [less, g.astype(float) + b, np.array(integral), np.r_[f4(0.1), narrow[:-1]], rows,
+              np.where(b > 0.1, g, f4(0.7)), s * s, b]  # fmt: skip
+    found = flown(imported(tmp_path, blocks, lines, code), {"a": a, "b": b, "c": c, "bus.s": s, "bus.d": b})
+    for k, one in enumerate(wanted, start=1):
+        assert found[f"y{k}"].dtype == one.dtype
+        assert np.array_equal(found[f"y{k}"], one), k

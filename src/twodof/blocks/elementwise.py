@@ -9,7 +9,7 @@ from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.enumeration import Kind, enumeration_of
 from twodof.blocks.expressions.arrays import Matrix, array_of, flat_of, fold, shaped
-from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
+from twodof.blocks.expressions.expr import Expr, const, int32, maximum, minimum, where
 from twodof.blocks.expressions.numbers import NUMERIC, STORED, Vector
 from twodof.blocks.namespaces import BusView
 from twodof.blocks.trace import MAX_PORTS
@@ -70,7 +70,9 @@ class Pointwise(OneOutput):
 
 def dot(length: int, a: Callable[[Any], Any], b: Callable[[Any], Any]) -> Any:
     """Return ((0 + a(0) * b(0)) + a(1) * b(1)) + ... over `length` terms, as a loop."""
-    return fold(length, [0.0], lambda j, total: [total + a(j) * b(j)])[0]
+    first = a(0)
+    zero = const(0.0, first.kind) if isinstance(first, Expr) else 0.0
+    return fold(length, [zero], lambda j, total: [total + a(j) * b(j)])[0]
 
 
 def clamp(low: Any, high: Any, value: Any) -> Any:

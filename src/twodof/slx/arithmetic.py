@@ -16,6 +16,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block
 from twodof.blocks.elementary.functions import ceil, floor, round_half_away, round_half_even, trunc
 from twodof.blocks.elementwise import clamp
+from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, where
 from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, STORED, WORDS
@@ -43,6 +44,12 @@ def exact(c: Asked) -> Callable[[Any], Any]:
     return partial(convert, kind="real" if any(one.kind == "real" for one in c.inputs) else "float64")
 
 
+def _kind(c: Asked, said: str) -> Kind:
+    """Return the kind of a type; of single real, which is rounded where single and double are mixed."""
+    found = kind_of(said, c.names)
+    return "real" if found == "float32" else found
+
+
 def fitted(value: Any, kind: str, saturate: bool, rounding: str) -> Any:
     """Return a float as a number of `kind`; NaN gives 0."""
     if kind == "real":
@@ -68,7 +75,7 @@ def whole(c: Asked, of: Callable[..., Any], default: str = "Inherit: Same as fir
         if kind != "real" and len(kinds) > 1:
             raise NotTranslated(f"OutDataTypeStr = {said!r} of {' and '.join(sorted(kinds))} is not translated")
     else:
-        kind = str(kind_of(said, c.names))
+        kind = str(_kind(c, said))
     if kinds == {"real"} and kind == "real":
         return None
     if kind not in ("real", *INTEGERS):
@@ -105,7 +112,7 @@ def signed_sum(signs: str, *terms: Any) -> Any:
 def whole_product(c: Asked, signs: str) -> Made | None:
     """Return a product of whole numbers; None where all is real."""
     kinds, said = {one.number for one in c.inputs}, c.text("OutDataTypeStr", "Inherit: Same as first input")
-    wanted = min(kinds) if said.startswith("Inherit") else kind_of(said, c.names)
+    wanted = min(kinds) if said.startswith("Inherit") else _kind(c, said)
     if kinds == {"real"} and wanted == "real":
         return None
     c.values.setdefault("RndMeth", "Zero")
@@ -159,7 +166,7 @@ def _convert(c: Asked) -> Made:
     if said.startswith("Inherit"):
         c.notes.append("the type is inherited from behind: that of the input is kept")
         return passes(c)
-    kind, rounding = kind_of(said, c.names), c.needs("RndMeth", "Zero", *ROUNDING)
+    kind, rounding = _kind(c, said), c.needs("RndMeth", "Zero", *ROUNDING)
     if kind == c.inputs[0].kind:
         return passes(c)
     if not isinstance(kind, str) or not isinstance(c.inputs[0].kind, str):
@@ -176,7 +183,7 @@ def _convert(c: Asked) -> Made:
 def _truth(c: Asked, of: Callable[..., Any], block: Any = None) -> Made:
     """Return the block of a condition: bool, or the 0 and 1 of another type."""
     said = c.text("OutDataTypeStr", "boolean")
-    kind = "bool" if said.startswith("Inherit") else str(kind_of(said, c.names))
+    kind = "bool" if said.startswith("Inherit") else str(_kind(c, said))
     if kind == "bool" and block is not None:
         return Made(block(), [Signal("bool", c.width)])
     return formula(c, lambda t, *v: convert(of(*map(exact(c), v)), kind), kind)

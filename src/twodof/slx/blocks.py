@@ -11,6 +11,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.elementwise import port_series
@@ -60,7 +62,7 @@ def _constant(c: Asked) -> Made:
     if isinstance(kind, Bus):
         return Made(Constant(value_of(c.structure("Value", "1"), Signal(kind)), kind), [Signal(kind)])
     value = c.value("Value", "1")
-    kind = kind or _KIND_OF.get(value.dtype.name, "")
+    kind = kind or (kind_of("single", c.names) if value.dtype == np.float32 else _KIND_OF.get(value.dtype.name, ""))
     if not kind:
         raise NotTranslated(f"a constant of type {value.dtype.name} is not translated")
     if value.size == 1:
@@ -308,7 +310,7 @@ def _dropped(c: Asked) -> Made:
     return Made(None, [])
 
 
-_KIND_OF = {"float64": "real", "float32": "real", **{name: name for name in ("bool", *INTEGERS)}}
+_KIND_OF = {"float64": "real", **{name: name for name in ("bool", *INTEGERS)}}
 
 
 MATH = {**{name: name for name in ("exp", "log", "square", "reciprocal", "sqrt")}, "magnitude^2": "square"}

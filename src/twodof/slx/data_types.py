@@ -22,6 +22,8 @@ from twodof.slx.model import collapsed
 from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, plain
 
 _FIXED = re.compile(r"(?:fixdt\(([01]),(8|16|32)(?:,0)?\)|([us])fix(8|16|32))")
+SINGLE = "(single)"
+"""A name that no script gives: where a workspace has it, single is float32, and not the build's precision."""
 DEEPEST = 8
 """Types that name one another: buses in buses, and aliases of aliases."""
 
@@ -29,6 +31,8 @@ DEEPEST = 8
 def kind_of(said: str, names: Mapping[str, Value], depth: int = 0) -> Kind:
     """Return the kind of a data type by its text. Raises NotTranslated for a type that has none."""
     text = collapsed(said)
+    if text == "single" and SINGLE in names:
+        return "float32"
     if text in TYPES:
         return TYPES[text]
     prefix, _, name = text.rpartition(":")
@@ -47,7 +51,7 @@ def kind_of(said: str, names: Mapping[str, Value], depth: int = 0) -> Kind:
     if isinstance(given, Mapping) and "Elements" in given:
         return _bus(name, given["Elements"], names, depth)
     if isinstance(given, Mapping) and given.get("DataTypeMode") in ("Double", "Single", "Boolean"):
-        return TYPES[given["DataTypeMode"].lower()]
+        return kind_of(given["DataTypeMode"].lower(), names, depth + 1)
     if prefix == "Bus":
         raise NotTranslated(f"the bus {name} has no value: give it by --workspace, or its data dictionary by --path")
     raise NotTranslated(f"the data type {text!r} is not translated")

@@ -26,7 +26,7 @@ from twodof.slx.bus_ports import with_bus_ports
 from twodof.slx.chart import function_rule
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
 from twodof.slx.connections import PASSING, STORES, Output, ReportLine, store_name
-from twodof.slx.data_types import kind_of, sized, value_of
+from twodof.slx.data_types import SINGLE, kind_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
@@ -34,6 +34,7 @@ from twodof.slx.matlab.evaluation import evaluate, run
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
 from twodof.slx.model import CODED, Model, SimulinkBlock, System, below, collapsed, escaped, read_model
+from twodof.slx.precision import ROUTES, precise
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
 from twodof.slx.toolbox_blocks import TOOLBOXES
@@ -106,6 +107,8 @@ class _Import(Wiring):
             self.notes.append(str(reason))
         texts = (text for _, block in model.blocks() for text in (*block.values.values(), *block.instance.values()))
         names.update(enumerations(texts, self.folders))
+        if {"single", "double"} <= {block.values.get("OutDataTypeStr") for _, block in model.blocks()}:
+            names[SINGLE] = True  # they are mixed: each has its own precision
         for callback in ("PreLoadFcn", "PostLoadFcn", "InitFcn"):
             for skipped in run(model.callbacks.get(callback, ""), names):
                 self.notes.append(f"{model.name}, {callback}, line {skipped.line}: {skipped.why}")
@@ -375,7 +378,7 @@ class _Import(Wiring):
             self.approximated.setdefault(key, []).append("a call is true for the step in which it is made")
             self.signals[*key, 1] = Signal("bool")
             return
-        if said == "single":
+        if said == "single" and SINGLE not in self.names:
             self.approximated.setdefault(key, []).append(_SINGLE)
         if elements == [-1]:
             elements = [1 if isinstance(kind, Bus) else width_wanted(self.sheets, *key, self.code)]
@@ -537,14 +540,18 @@ class _Import(Wiring):
             if self._backwards(key) and (wanted := self._wanted(key)):
                 values["OutDataTypeStr"] = wanted
             dt = self.dt * self.rates.get(key, BASE).divider
-            asked = Asked(block, path, values, self.sheets[path].names, inputs, dt, labels, folders=self.folders)
+            real = [replace(one, kind="real") if one.kind == "float32" else one for one in inputs]
+            taken = inputs if block.type in ROUTES else real
+            asked = Asked(block, path, values, self.sheets[path].names, [*taken], dt, labels, folders=self.folders)
             made = matrix(asked, MATRIX_LINES[block.kind]) if makes_matrix(asked) else rule(asked)
+            made = precise(asked, made, inputs) if SINGLE in self.names else made
             if block.type == "RateTransition":
                 made = self._transition(key, asked) or made
             self.made[key] = made
             self.signals.update({(*key, k + 1): signal for k, signal in enumerate(made.outputs)})
             loose = [str(pin.number) for pin in self._inputs(key) if made.item and self._origin(path, pin) is None]
-            notes = [*asked.notes, *([_SINGLE] if asked.text("OutDataTypeStr") == "single" else [])]
+            single = asked.text("OutDataTypeStr") == "single" and SINGLE not in self.names
+            notes = [*asked.notes, *([_SINGLE] * single)]
             notes += [f"nothing drives input {', '.join(loose)}: it is 0"] if loose else []
             self.approximated.setdefault(key, []).extend(notes)
 

@@ -13,6 +13,7 @@ from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.enumeration import Kind
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.blocks.library import Demux, Gain, MatrixGain, Mux, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import evaluate
@@ -147,7 +148,7 @@ def same(c: Asked, item: Item, kind: str = "real") -> Made:
 
 def plain(value: Any, kind: Kind) -> Any:
     """Return a number as the parameter of a kind."""
-    return bool(value) if kind == "bool" else float(value) if kind == "real" else int(value)
+    return bool(value) if kind == "bool" else float(value) if kind in FLOATS else int(value)
 
 
 def expanded(d: Diagram, source: str, signal: Signal, width: int | None) -> str:
@@ -217,7 +218,7 @@ def holds(c: Asked) -> Made:
 
 TYPES = {
     "double": "real",
-    "single": "real",
+    "single": "real",  # but see data_types.SINGLE
     "boolean": "bool",
     "logical": "bool",
     **{name: name for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32")},

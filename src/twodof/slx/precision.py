@@ -1,0 +1,136 @@
+"""Models that mix single and double: each number is rounded as its type says, whatever the precision of the build.
+
+A signal of type single is a float32. A block whose numbers are all single computes in float32; any other one computes
+in the build's precision, and a result of type single is rounded then.
+Source: Simulink reference, data types of Sum, Product, Gain and others: the internal rule keeps single among singles.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+from twodof.blocks import Diagram
+from twodof.blocks.block import Block, Clock
+from twodof.blocks.elementwise import elementwise
+from twodof.blocks.expressions.expr import convert
+from twodof.slx.composite_blocks import Formula
+from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.translation import Asked, Item, Made, NotTranslated, Signal, expanded
+
+ROUTES = ("BusAssignment", "BusCreator", "BusSelector", "Concatenate", "Constant", "DataStoreMemory", "DataStoreRead",
+          "DataStoreWrite", "Demux", "Ground", "Inport", "ManualSwitch", "Memory", "Merge", "Mux", "RateTransition",
+          "Selector", "SignalConversion", "SignalSpecification", "UnitDelay", "ZeroOrderHold")  # fmt: skip
+"""Types that compute nothing: their rules take float32 as any other kind."""
+
+
+class InSingle(Block):
+    """A block that computes in float32: its inputs, outputs and states are, and its parameters become it when used."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self.inputs, self.outputs, self.derived = (
+            [replace(one, kind="float32") if one.kind == "real" else one for one in many]
+            for many in (block.inputs, block.outputs, block.derived)
+        )
+        self.states = [replace(one, kind="float32") if one.kind == "real" else one for one in block.states]
+        starts = [one.initial for one in block.states if one.kind == "real"]
+        self.params = [replace(one, kind="float32") if one.name in starts else one for one in block.params]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        """Compute the derived parameters in float64, and round them."""
+        return _narrow(self.block.prepare(p, t))
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Compute the outputs."""
+        return _narrow(self.block.output(u, x, _Narrow(p), cast(Clock, _Narrow(t))))
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Compute the next states."""
+        return _narrow(self.block.update(u, x, _Narrow(p), cast(Clock, _Narrow(t))))
+
+
+class _Narrow:
+    """Parameters, or the clock, whose numbers are float32."""
+
+    def __init__(self, values: Any) -> None:
+        self._values = values
+
+    def __getattr__(self, name: str) -> Any:
+        return _narrow(getattr(self._values, name))
+
+    def __getitem__(self, name: str) -> Any:
+        return _narrow(self._values[name])
+
+
+def _narrow(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _narrow(one) for name, one in value.items()}
+    return elementwise(lambda v: convert(v, "float32") if getattr(v, "kind", "real") == "real" else v, value)
+
+
+def precise(c: Asked, made: Made, inputs: Sequence[Signal]) -> Made:
+    """Return the block with `inputs` of single and double where `made` has those of `c`, which are all real."""
+    if c.block.type in ROUTES or made.item is None:
+        return made
+    parts = {"Switch": [*inputs[:1], *inputs[2:]], "MultiPortSwitch": inputs[1:]}
+    floats = [one for one in parts.get(c.block.type, inputs) if one.kind in ("real", "float32")]
+    said = c.text("OutDataTypeStr", "Inherit")
+    alike = bool(floats) and all(one.kind == "float32" for one in floats)
+    same = said.startswith("Inherit: Same as first") and bool(floats) and floats[0].kind == "float32"
+    single = said == "single" or (said.startswith("Inherit") and (alike or same))
+    outputs = [replace(one, kind="float32") if single and one.kind == "real" else one for one in made.outputs]
+    if alike and all(one.kind != "real" for one in (*inputs, *outputs)):
+        narrowed = _narrowed(made.item)
+        if narrowed is not None:
+            return Made(narrowed, outputs, made.expand)
+    if made.outputs == outputs and all(one.kind != "float32" for one in inputs):
+        return made
+    return Made(_converted(made, inputs, outputs), outputs, expand=False)
+
+
+def _narrowed(item: Item) -> Item | None:
+    """Return a block, or a diagram of blocks, that computes in float32; None for one that cannot."""
+    if isinstance(item, Block):
+        unfit = isinstance(item, MatlabFunction) or any(one.continuous for one in item.states)
+        return None if unfit else InSingle(item)
+    d = Diagram(item.name)
+    for port in item.inputs.values():
+        d.declare(replace(port, kind="float32") if port.kind == "real" else port)
+    for name, part in item.parts.items():
+        inner = _narrowed(part.item)
+        if inner is None or part.reset or part.enable:
+            return None
+        d.add(name, inner)
+    for (name, pin), source in item.connections.items():
+        d.connect(source, f"{name}.{pin}")
+    for given, output in item.outputs.items():
+        d.output(given, str(output))
+    return d
+
+
+def _converted(made: Made, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> Diagram:
+    """Return a diagram that converts each single input, computes, and rounds the results that are single."""
+    d, item = Diagram("precise"), made.item
+    assert item is not None
+    ports = list(item.inputs) if isinstance(item, Block) else list(item.inputs.values())
+    width = next((port.width for port in ports if port.width is not None), None)
+    sources = {}
+    for port, (k, one) in zip(ports, enumerate(inputs, start=1), strict=True):
+        source = d.input(f"u{k}", one.kind, one.width)
+        if one.shape is not None:
+            raise NotTranslated("a matrix of singles among doubles is not translated")
+        if one.kind == "float32":
+            source = f"{d.add(f'wide{k}', _conversion(one, 'real'), u1=source)}.y"
+        sources[port.name] = expanded(d, source, replace(one, kind="real"), width) if made.expand else source
+    d.add("of", item, inputs=sources)
+    names = [port.name for port in item.outputs] if isinstance(item, Block) else list(item.outputs)
+    for k, (name, before, after) in enumerate(zip(names, made.outputs, outputs, strict=True), start=1):
+        source = f"of.{name}"
+        if after.kind != before.kind:
+            source = f"{d.add(f'round{k}', _conversion(before, 'float32'), u1=source)}.y"
+        d.output(f"y{k}", source)
+    return d
+
+
+def _conversion(one: Signal, kind: str) -> Formula:
+    return Formula(lambda t, u: convert(u, kind), [one], Signal(kind, one.width))
