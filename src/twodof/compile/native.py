@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import platform
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -35,17 +34,15 @@ def load(
     alone = ("-nostdlib",) if compiler.name == "zig" and platform.system() == "Linux" else ()
     options = (*FLAGS, optimise, *march, *alone, *compiler.flags, *flags)
     cpu = compilers.processor() if native else platform.machine()
-    with suppress(OSError), compilers.compiled(source, compiler, options, ".so", cpu) as file:
-        return ctypes.CDLL(str(file))  # stays mapped when its file goes
-    with compilers.compiled(source, compiler, options, ".so", cpu, afresh=True) as file:
-        try:
-            return ctypes.CDLL(str(file))
-        except OSError as error:
-            raise CompileError(
-                f"the compiled library does not load: {error}",
-                compiler.name,
-                "set TWODOF_CACHE to a folder whose files may be executed",
-            ) from error
+    try:
+        # A library stays mapped when its file goes.
+        return compilers.compiled(source, compiler, options, ".so", lambda file: ctypes.CDLL(str(file)), cpu)
+    except OSError as error:
+        raise CompileError(
+            f"the compiled library does not load: {error}",
+            compiler.name,
+            "set TWODOF_CACHE to a folder whose files may be executed",
+        ) from error
 
 
 def _check_subnormals() -> None:

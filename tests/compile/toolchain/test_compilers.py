@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -148,8 +149,7 @@ def test_a_compiler_has_a_limit_of_processor_time_of_its_own(cache: Path, tmp_pa
 def test_the_cache_does_not_grow_for_ever(bound: str, most: int, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache_module, bound, most)
     for k in range(6):
-        with cache_module.cached([str(k)], ".x", lambda made: made.write_bytes(bytes(100)) and None):
-            pass
+        cache_module.cached([str(k)], ".x", lambda made: made.write_bytes(bytes(100)) and None, Path.read_bytes)
     assert len(list(cache.iterdir())) <= 4
 
 
@@ -180,14 +180,22 @@ def test_folder_of_another_user_is_not_used(cache: Path) -> None:
     assert list(cache.iterdir()) == []
 
 
-def test_entry_removed_by_another_process_is_made_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(file: Path) -> bytes:
-        file.unlink()
-        monkeypatch.undo()
-        raise FileNotFoundError
+@pytest.mark.parametrize("damage", [Path.unlink, lambda entry: entry.write_bytes(b"torn")])
+def test_entry_that_cannot_be_read_is_made_again(cache: Path, damage: Callable[[Path], object]) -> None:
+    """Another process may remove an entry that has just been found."""
 
-    monkeypatch.setattr(Path, "read_bytes", read)
-    assert cache_module.cached_bytes(["a key"], ".x", lambda made: made.write_bytes(b"made") and None) == b"made"
+    def read(file: Path) -> bytes:
+        if file.parent == cache:
+            damage(file)
+        if (data := file.read_bytes()) != b"made":
+            raise ValueError(data)
+        return data
+
+    for _ in range(2):
+        made = cache_module.cached(["a key"], ".x", lambda made: made.write_bytes(b"made") and None, read)
+        assert made == b"made"
+    (entry,) = cache.iterdir()
+    assert entry.read_bytes() == b"made"
 
 
 def test_folders_of_killed_builds_are_removed(cache: Path) -> None:

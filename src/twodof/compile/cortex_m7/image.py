@@ -110,7 +110,9 @@ def build_image(
     def make(target: Path) -> None:
         folder = target.parent
         _write(files, folder)
-        with zipfile.ZipFile(io.BytesIO(cache.cached_bytes(key(firmware), ".m7o", make_firmware))) as archive:
+        with zipfile.ZipFile(
+            io.BytesIO(cache.cached(key(firmware), ".m7o", make_firmware, Path.read_bytes))
+        ) as archive:
             archive.extractall(folder)
         compile_("program", folder, (optimise, *flags))
         compile_("dispatch", folder)
@@ -120,7 +122,7 @@ def build_image(
         _pack(target, CALLED, "image.elf")
 
     wanted = (*key(files), optimise, *flags, *libraries)
-    with zipfile.ZipFile(io.BytesIO(cache.cached_bytes(wanted, ".m7", make))) as archive:
+    with zipfile.ZipFile(io.BytesIO(cache.cached(wanted, ".m7", make, Path.read_bytes))) as archive:
         usage = "".join(archive.read(n).decode() for n in archive.namelist() if n.endswith(".su"))
         elf, *objects = (archive.read(n) for n in ("image.elf", *(f"{m}.o" for m in CALLED)))
     sizes = tuple(tuple(s) for _, s in programs)

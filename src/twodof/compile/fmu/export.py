@@ -96,8 +96,8 @@ class Fmu:
             "modelDescription.xml": model_description(
                 self.emitted.flat, self.variables, self.version, self.token, file
             ),
-            f"binaries/{newer if self.version == '3.0' else older}/{self.name}{ending}": compilers.compiled_bytes(
-                self.source, compiler, (*FLAGS, *compiler.flags), ending
+            f"binaries/{newer if self.version == '3.0' else older}/{self.name}{ending}": compilers.compiled(
+                self.source, compiler, (*FLAGS, *compiler.flags), ending, Path.read_bytes
             ),
             f"sources/{file}": self.source.encode(),
             "resources/diagram.json": to_json(self.diagram).encode(),

@@ -7,10 +7,12 @@ import stat
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
+Read = TypeVar("Read")
 VERSION = "twodof-cache-4"
 MOST_ENTRIES = 2000
 MOST_BYTES = 2 * 1024**3
@@ -30,37 +32,28 @@ def cache_folder() -> Path:
         return Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}"
 
 
-@contextmanager
-def cached(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh: bool = False) -> Iterator[Path]:
-    """Yield the file that `make(path)` writes for `key`, from the cache if it is there and not `afresh`.
+def cached(key: Sequence[str], suffix: str, make: Callable[[Path], None], read: Callable[[Path], Read]) -> Read:
+    """Return `read(file)` of the file that `make(file)` writes for `key`, from the cache if it can be read there.
 
-    An entry appears whole or not at all, so several processes may make the same one. `make` may leave other files in
+    An entry appears whole or not at all, so several processes may make the same one. An entry for which `read` raises
+    an exception is damaged, or another process has just removed it: it is made again. `make` may leave other files in
     the folder of its path. Without a folder that only this user can write, the file is made and not kept.
     """
     folder = _own_folder()
     name = hashlib.sha256("\0".join((VERSION, *key)).encode()).hexdigest() + suffix
-    if folder is not None and not afresh and (folder / name).is_file():
-        yield folder / name
-        return
+    if folder is not None and (folder / name).is_file():
+        with suppress(Exception):
+            return read(folder / name)
     with tempfile.TemporaryDirectory(dir=folder, prefix="making-", ignore_cleanup_errors=True) as work:
         made = Path(work, f"program{suffix}")
         make(made)
-        if folder is None:
-            yield made
-            return
-        with made.open("rb") as file:
-            os.fsync(file.fileno())  # before it gets its name, so that a power cut leaves no torn entry
-        made.replace(folder / name)
-    _prune(folder)
-    yield folder / name
-
-
-def cached_bytes(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh: bool = False) -> bytes:
-    """Return the bytes of the file that `cached` yields, also if another process removes it before it is read."""
-    with suppress(FileNotFoundError), cached(key, suffix, make, afresh) as file:
-        return file.read_bytes()
-    with cached(key, suffix, make, afresh=True) as file:
-        return file.read_bytes()
+        found = read(made)
+        if folder is not None:
+            with made.open("rb") as file:
+                os.fsync(file.fileno())  # before it gets its name, so that a power cut leaves no torn entry
+            made.replace(folder / name)
+            _prune(folder)
+    return found
 
 
 def _own_folder() -> Path | None:
@@ -79,7 +72,7 @@ def _own_folder() -> Path | None:
         f"{folder}: others may write into this cache of compiled code, so it is not used; remove it "
         f"(rm -r {folder}), or name another folder in TWODOF_CACHE",
         RuntimeWarning,
-        stacklevel=5,
+        stacklevel=4,
     )
     return None
 

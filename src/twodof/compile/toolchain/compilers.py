@@ -9,12 +9,12 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.compile.toolchain.cache import cached, cached_bytes
+from twodof.compile.toolchain.cache import Read, cached
 from twodof.errors import CompileError
 
 if sys.platform == "linux":
@@ -87,42 +87,24 @@ def processor() -> str:
     return f"{platform.machine()} {platform.system()} {hashlib.sha256(chr(10).join(lines).encode()).hexdigest()}"
 
 
-@contextmanager
 def compiled(
     source: str,
     compiler: Compiler,
     options: Sequence[str],
     suffix: str,
+    read: Callable[[Path], Read],
     depends: str = "",
     files: Mapping[str, str] | None = None,
-    afresh: bool = False,
-) -> Iterator[Path]:
-    """Yield the file that `compiler` makes of the C `source` with `options`, from the cache if it is there.
+) -> Read:
+    """Return `read(file)` of the file that `compiler` makes of the C `source` with `options`, cached by `cached`.
 
     `suffix` ends its name (".so", ".wasm", ".elf"). `depends` identifies anything else that decides its bytes (the
     processor, with `-march=native`). `files` (texts by name) are written beside the source, where the compiler runs, so
-    that an option may name them (a linker script). The file may be gone after the `with` block, and earlier if another
-    process prunes the cache. `afresh` makes it even if it is in the cache. Raises CompileError if the compiler refuses
-    or hangs.
+    that an option may name them (a linker script). Raises CompileError if the compiler refuses or hangs.
     """
-    key = _key(source, compiler, options, depends, files)
-    with cached(key, suffix, lambda made: compile_c(source, made, compiler, options, files), afresh) as file:
-        yield file
-
-
-def compiled_bytes(
-    source: str, compiler: Compiler, options: Sequence[str], suffix: str, files: Mapping[str, str] | None = None
-) -> bytes:
-    """Return the bytes of the file that `compiled` yields. Raises CompileError as that does."""
-    key = _key(source, compiler, options, "", files)
-    return cached_bytes(key, suffix, lambda made: compile_c(source, made, compiler, options, files))
-
-
-def _key(
-    source: str, compiler: Compiler, options: Sequence[str], depends: str, files: Mapping[str, str] | None
-) -> tuple[str, ...]:
     named = [part for item in sorted((files or {}).items()) for part in item]
-    return (source, compiler.identity(), *options, depends, *named)
+    key = (source, compiler.identity(), *options, depends, *named)
+    return cached(key, suffix, lambda made: compile_c(source, made, compiler, options, files), read)
 
 
 def compile_c(

@@ -6,6 +6,7 @@ import math
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from twodof.blocks.declarations import Param, Port, State
@@ -185,7 +186,7 @@ def compile_module(
     )
     ticks = (_tick(p.name, places[p.name]) for p in programs)
     source = "".join([programs[0].source, *ticks, helpers.MEMORY, layout_checks(programs)])
-    data = compilers.compiled_bytes(source, found, options, ".wasm", helpers.FILES)
+    data = compilers.compiled(source, found, options, ".wasm", Path.read_bytes, files=helpers.FILES)
     return WasmModule(data, pages, {p.name: p for p in programs}, places)
 
 

@@ -160,16 +160,13 @@ def build(files: Mapping[str, str]) -> ModuleType:
     """
     generator = f"pymavlink {pymavlink.__version__} {importlib.util.MAGIC_NUMBER.hex()} {sys.implementation.cache_tag}"
     key = ("mavlink", generator, *(part for item in files.items() for part in item))
-    for afresh in (False, True):
-        data = cache.cached_bytes(key, ".code", lambda made: _generate(files, made), afresh)
-        try:
-            code = marshal.loads(data)
-        except (ValueError, EOFError, TypeError):  # damaged, or written by another Python
-            continue
-        module = ModuleType(MODULE, "MAVLink as generated from dialect.xml.")
-        exec(code, module.__dict__)
-        return module
-    raise LinkError("the cached code cannot be read", "MAVLink dialect", "empty the folder that TWODOF_CACHE names")
+    module = ModuleType(MODULE, "MAVLink as generated from dialect.xml.")
+    # An entry that is damaged, or written by another Python, cannot be loaded and is made again.
+    code = cache.cached(
+        key, ".code", lambda made: _generate(files, made), lambda made: marshal.loads(made.read_bytes())
+    )
+    exec(code, module.__dict__)
+    return module
 
 
 def _generate(files: Mapping[str, str], made: Path) -> None:
