@@ -80,23 +80,12 @@ class NativeBackend:
 
     def __init__(self, program: EmittedProgram, library: ctypes.CDLL) -> None:
         self.program = program
-        self._library = library
+        self.library = library
         sizes = list((ctypes.c_size_t * 5).in_dll(library, f"{program.name}_sizes"))
         if sizes != program.sizes:
             raise CompileError(
                 f"its structs have the sizes {sizes}, expected {program.sizes}", program.name, "report this as a fault"
             )
-        pointer, size = ctypes.c_void_p, ctypes.c_size_t
-        self.defaults = self._function("defaults", pointer)
-        self.prepare = self._function("prepare", pointer)
-        self.init = self._function("init", pointer, pointer)
-        self.step = self._function("step", pointer, pointer, pointer, pointer)
-        self.run = self._function("run", pointer, pointer, pointer, size, pointer, size, size)
-
-    def _function(self, name: str, *arguments: Any) -> Any:
-        function = getattr(self._library, f"{self.program.name}_{name}")
-        function.argtypes, function.restype = arguments, None
-        return function
 
     def instance(self) -> NativeInstance:
         """Return a fresh instance, whose structs are numpy arrays."""
@@ -108,13 +97,24 @@ class NativeInstance:
 
     def __init__(self, backend: NativeBackend) -> None:
         self.structs: dict[str, NDArray[Any]] = {k: np.zeros(1, t) for k, t in backend.program.dtypes.items()}
-        p, s, u, y = (self.structs[k].ctypes.data for k in "PSUY")
-        self.defaults = partial(backend.defaults, p)
-        self.prepare = partial(backend.prepare, p)
-        self.init = partial(backend.init, p, s)
-        self.step = partial(backend.step, p, s, u, y)
-        self._run = partial(backend.run, p, s)
+        p, s, u, y = map(_address, self.structs.values())
+
+        def bound(name: str, *arguments: Any) -> Any:
+            function = getattr(backend.library, f"{backend.program.name}_{name}")
+            function.restype = None
+            return partial(function, *arguments)
+
+        self.defaults = bound("defaults", p)
+        self.prepare = bound("prepare", p)
+        self.init = bound("init", p, s)
+        self.step = bound("step", p, s, u, y)
+        self._run = bound("run", p, s)
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
         """Run `steps` ticks on the caller's own arrays; see `TargetInstance.run`."""
-        self._run(u.ctypes.data, int(len(u) > 1), y.ctypes.data, int(len(y) > 1), steps)
+        size = ctypes.c_size_t
+        self._run(_address(u), size(len(u) > 1), _address(y), size(len(y) > 1), size(steps))
+
+
+def _address(array: NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)

@@ -44,7 +44,7 @@ def test_modes_are_cases_and_transitions_ifs() -> None:
     source = emit_program(door(), 0.01, "float64").source
     step = source[source.index("void house_advance") :]
     first, second = step.split("switch (s->door_mode) {")[1:]
-    assert re.findall(r"case (\d): \{ /\* ([\w.]+) \*/", first) == [
+    assert re.findall(r"case (\d): /\* ([\w.]+) \*/", first) == [
         ("0", "closed.free"),
         ("1", "closed.locked"),
         ("2", "ajar"),

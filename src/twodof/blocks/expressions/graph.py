@@ -66,18 +66,17 @@ KEPT = ("vector", "build", "store", "fold", "call")
 def unchanging(
     loop: Expr,
     resolve: Callable[[Expr], Expr] = lambda item: item,
-    bodies: Callable[[Expr], Sequence[Expr]] = lambda item: item.bodies,
     also: Callable[[Expr], bool] = lambda item: False,
 ) -> list[Expr]:
     """Return the arrays, loops and calls in a loop's bodies that are the same at each turn, without those within them.
 
     They are computed once before the loop: in its bodies, chained products of matrices would cost the product of their
-    lengths. `resolve` gives the node that is computed in place of another one, `bodies` those of a loop. Nodes for
-    which `also` is true count as unchanging.
+    lengths. `resolve` gives the node that is computed in place of another one. Nodes for which `also` is true count as
+    unchanging.
     """
     found: dict[int, Expr] = {}
     turning = 1 << loop.data[1]
-    stack = [(resolve(body), turning) for body in bodies(loop)]
+    stack = [(resolve(body), turning) for body in loop.bodies]
     seen: set[tuple[int, int]] = set()
     while stack:
         item, around = stack.pop()
@@ -88,7 +87,7 @@ def unchanging(
             found[id(item)] = item
             continue
         if item.op in LOOPS:
-            stack.extend((resolve(body), around | 1 << item.data[1]) for body in bodies(item))
+            stack.extend((resolve(body), around | 1 << item.data[1]) for body in item.bodies)
         stack.extend((resolve(a), around) for a in item.outside)
     return list(found.values())[::-1]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
 
 from twodof.blocks.expressions.expr import LOOPS, Expr, node
@@ -70,7 +70,6 @@ class _Place:
     condition: Expr
     holds: bool
     depth: int
-    inner: dict[tuple[int, bool], _Place] = field(default_factory=dict)
 
 
 def _common(a: _Place | None, b: _Place | None) -> _Place | None:
@@ -85,34 +84,13 @@ def _common(a: _Place | None, b: _Place | None) -> _Place | None:
     return a
 
 
-def steps(
-    order: Sequence[Expr],
-    args: Arguments,
-    always: Iterable[Expr],
-    hand: Container[int],
-    optional: Container[int],
-    in_loop: bool,
-) -> Sequence[Step]:
-    """Return the steps that compute the nodes `order`, with branches where they save enough operations.
+class Plan:
+    """Plan of where each node is computed, and in which order.
 
     In `order` the arguments, which `args` gives, come before their users. The nodes `always` are computed in any case;
     nodes with an id in `hand` are computed already. Signals with an id in `optional` may be left 0 under a condition
     that keeps all other nodes from reading them. `in_loop` tells that the steps are those of a loop's body.
     """
-    if not any(item.op in ("where", "and", "or") for item in order):
-        return order
-    plan = _Plan([item for item in order if id(item) not in hand], args, always, hand, optional, in_loop)
-    if not plan.worth:
-        return order
-    found = plan.all_steps()
-    if plan.clashing:
-        plan.worth -= plan.clashing
-        found = plan.all_steps()
-    return order if plan.clashing else [item for item in order if id(item) in hand] + found
-
-
-class _Plan:
-    """Plan of where each node is computed, and in which order."""
 
     def __init__(
         self,
@@ -123,13 +101,17 @@ class _Plan:
         optional: Container[int],
         in_loop: bool,
     ) -> None:
-        self.order = order
+        self.given = order
+        self.order = [item for item in order if id(item) not in hand]
         self.hand = hand
+        self.worth: set[int] = set()
+        if not any(item.op in ("where", "and", "or") for item in order):
+            return
         self.args: dict[int, tuple[Expr, ...]] = {}
         self.decisions: dict[int, Choice] = {}
         self.known: set[int] = set()  # nodes that cost nothing
         self.flags: dict[int, bool] = {}  # True if a node depends on no real number
-        for item in order:
+        for item in self.order:
             below = args(item)
             if not below:
                 self.known.add(id(item))
@@ -140,12 +122,12 @@ class _Plan:
             flags = (self.flags.get(id(a), a.kind not in FLOATS) for a in below)
             self.flags[id(item)] = item.kind not in FLOATS and item.width is None and all(flags)
         self.always = {id(item) for item in always}
-        self.rank = {id(item): i for i, item in enumerate(order)}
+        self.rank = {id(item): i for i, item in enumerate(self.order)}
         self._kept: list[Expr] = []
         self.clashing: set[int] = set()  # conditions of which two branches share a node
         self._leave_out(optional)
         self.worth = {id(d.condition) for d in self.decisions.values()}
-        self.outermost: dict[tuple[int, bool], _Place] = {}
+        self.places: dict[tuple[_Place | None, int, bool], _Place] = {}
         self._place()
         self.worth = self._worthwhile(in_loop)
 
@@ -186,7 +168,7 @@ class _Plan:
             found.add((id(item), wanted))
             if item.op == ("and" if wanted else "or") and item.kind == "bool":
                 stack += [(a, wanted) for a in item.args]
-            elif item.op == "input":
+            elif item.op == "signal":
                 stack += [(a, wanted) for a in self.args.get(id(item), ())]
         return frozenset(found)
 
@@ -223,18 +205,17 @@ class _Plan:
         return True
 
     def _inside(self, around: _Place | None, condition: Expr, holds: bool) -> _Place:
-        known = self.outermost if around is None else around.inner
-        key = id(condition), holds
-        if key not in known:
-            known[key] = _Place(around, condition, holds, 1 if around is None else around.depth + 1)
-        return known[key]
+        key = around, id(condition), holds
+        if key not in self.places:
+            self.places[key] = _Place(around, condition, holds, 1 if around is None else around.depth + 1)
+        return self.places[key]
 
     def _worthwhile(self, in_loop: bool) -> set[int]:
         """Return the conditions whose branches save enough operations."""
         costs: dict[int, int] = {}
         self.costs: dict[int, int] = {}
         for item in self.order:
-            cost = 0 if id(item) in self.known or item.op == "input" else SLOW.get(item.op, 1)
+            cost = 0 if id(item) in self.known or item.op == "signal" else SLOW.get(item.op, 1)
             if item.op in LOOPS and cost:
                 cost = item.data[0] * (1 + len(walk(item.bodies)))
             elif item.op == "vector" and cost:
@@ -256,9 +237,19 @@ class _Plan:
             return True
         return condition.op in ("eq", "ne") or self.flags.get(id(condition), True)
 
-    def all_steps(self) -> list[Step]:
+    def steps(self) -> Sequence[Step]:
+        """Return the steps that compute the nodes, with branches where they save enough operations."""
+        found = self._all_steps() if self.worth else []
+        if self.worth and self.clashing:
+            self.worth -= self.clashing
+            found = self._all_steps()
+        if not self.worth or self.clashing:
+            return self.given
+        return [item for item in self.given if id(item) in self.hand] + found
+
+    def _all_steps(self) -> list[Step]:
         """Return the steps, each node in its place."""
-        self.outermost = {}
+        self.places = {}
         self._place()
         self.clashing = set()
         self.done: set[int] = set()

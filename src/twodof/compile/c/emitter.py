@@ -13,9 +13,9 @@ from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
 from twodof.blocks.expressions.graph import of_kinds
 from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, dtype_of
-from twodof.compile.c.expressions import Leaves, Renderer, Used
+from twodof.compile.c.expressions import Renderer, Used
 from twodof.compile.c.functions import Function, Listing, Mark
-from twodof.compile.c.graph import in_doubles
+from twodof.compile.c.graph import ProgramGraph, in_doubles
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import Integration
 from twodof.compile.c.operators import C_TYPES
@@ -39,6 +39,9 @@ GUARDS = """#if defined(__FAST_MATH__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off", "no-tree-pre") /* no-tree-pre: fewer registers spilled */
+#endif
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wfloat-equal" /* == is meant: it asks for the same number */
 #endif
 /* In place, and stage by stage, so that states stay in registers; but not where size counts. */
 #if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
@@ -66,13 +69,12 @@ def emit(
 ) -> list[EmittedProgram]:
     """Return each of `programs`, whose names must differ, with its C; all functions are in one C file that they share.
 
-    `lean` is for a flight controller's firmware: it leaves out `run`, the tables, and == on reals, about which its
-    compiler warns (-Wfloat-equal). `header` is the name of a file with the `CInterface` of each program; by default the
-    C file itself contains it.
+    `lean` is for a flight controller's firmware: it leaves out `run` and the tables. `header` is the name of a file
+    with the `CInterface` of each program; by default the C file itself contains it.
     """
     emitters = [_Emitter(p, MemoryLayout(p), precision, lean, not header) for p in programs]
     helpers = set[str]().union(*(e.scope.used.helpers for e in emitters))
-    elementary, more = _elementary(set[str]().union(*(e.scope.used.functions for e in emitters)), precision, lean)
+    elementary, more = _elementary(set[str]().union(*(e.scope.used.functions for e in emitters)), precision)
     helpers |= more
     listing = Listing()
     parts = [
@@ -94,7 +96,7 @@ def emit(
     return [EmittedProgram(e.program, text, e.layout, precision, listing.marks, listing.cost) for e in emitters]
 
 
-def _elementary(names: Iterable[str], precision: str, lean: bool) -> tuple[list[str], set[str]]:
+def _elementary(names: Iterable[str], precision: str) -> tuple[list[str], set[str]]:
     """Return the definitions of the elementary functions `names` and of those they call, callees first; and helpers."""
     needed: dict[str, None] = {}
     stack = [(n, False) for n in sorted(names)]
@@ -104,13 +106,13 @@ def _elementary(names: Iterable[str], precision: str, lean: bool) -> tuple[list[
             needed[name] = None
         elif name not in needed:
             stack.append((name, True))
-            stack += [(n, False) for n in sorted(_function(name, precision, lean)[1])]
-    helpers = frozenset[str]().union(*(_function(n, precision, lean)[2] for n in needed))
-    return [_function(n, precision, lean)[0] for n in needed], set(helpers)
+            stack += [(n, False) for n in sorted(_function(name, precision)[1])]
+    helpers = frozenset[str]().union(*(_function(n, precision)[2] for n in needed))
+    return [_function(n, precision)[0] for n in needed], set(helpers)
 
 
 @cache
-def _function(name: str, precision: str, lean: bool) -> tuple[str, frozenset[str], frozenset[str]]:
+def _function(name: str, precision: str) -> tuple[str, frozenset[str], frozenset[str]]:
     """Return an elementary function in C, what it calls, and its helpers; "sin_float32" is the sine of that kind."""
     own, _, last = name.rpartition("_")
     base, kind = (own, last) if last in FLOATS else (name, "real")
@@ -120,14 +122,13 @@ def _function(name: str, precision: str, lean: bool) -> tuple[str, frozenset[str
         recorded = DEFINITIONS[base][precision](*(leaf("input", a, "real") for a in arguments))
         (result,) = of_kinds([recorded], {"real": kind})
     used, real = Used(), C_TYPES[kind]
-    leaves = Leaves(lambda e: Text(e.data, reads=frozenset((e.data,))), stem="t")
-    renderer = Renderer(CNames({*arguments, "td"}), precision, lean, used, leaves)
+    renderer = Renderer(CNames({*arguments, "td"}), precision, used, lambda e: Text.of(e.data))
     value = renderer.text(result)
     body = [*renderer.out, Call(f"return {value.text};", reads=value.reads)]
     listing = Listing()
     listing.function(Function(f"static {real}", f"td_{name}", tuple(f"{real} {a}" for a in arguments), body, ""))
     text = listing.text()
-    if base in INSTRUCTIONS and not lean:
+    if base in INSTRUCTIONS:
         builtin = f"__builtin_{base}{'f' if precision == 'float32' else ''}({', '.join(arguments)})"
         head, _, rest = text.partition("{\n")
         rest = rest.removesuffix("}\n\n")
@@ -144,13 +145,13 @@ class _Emitter:
         self.precision = precision
         self.lean = lean
         self.prefix = p = program.name
-        self.scope = Scope(program, layout, precision, lean)
+        self.scope = Scope(program, layout, precision)
         self.listing = Listing()
         self.apart = False
         remark = f" {comment(program.text)}" if program.text else ""
         self.listing.add(f"/* {p}: one step is {program.dt:.9g} s.{remark} */")
         if whole:
-            CInterface(program, layout, not lean, not lean).list(self.listing)
+            CInterface(program, layout, not lean).list(self.listing)
         self._list(self._defaults(), "default parameters", every_tick=False)
         self._list(self._prepare(), "derived parameters", every_tick=False)
         self._list(self._init(), "initial states", every_tick=False)
@@ -184,12 +185,12 @@ class _Emitter:
 
     def _prepare(self) -> Function:
         names = self.scope.names("p")
-        text = self.scope.leaf(lambda s: s.path, lambda node, name: name)
-        renderer = self.scope.renderer(names, Leaves(text, owner=self.scope.graph.owner))
+        graph = ProgramGraph(self.program)
+        renderer = self.scope.renderer(names, self.scope.leaf(self.scope.state), graph.owner)
         for node in self.program.nodes:
             exprs = in_doubles(node.trace.prepare) if self.precision == "float32" else node.trace.prepare
             renderer.owner = node
-            renderer.assign([(self.scope.given(node, n), self.scope.graph.of(node, e)) for n, e in exprs.items()])
+            renderer.assign([(self.scope.given(node, n), graph.of(node, e)) for n, e in exprs.items()])
         return Function("void", f"{self.prefix}_prepare", (f"{self.prefix}_P *p",), renderer.out, "prepare")
 
     def _init(self) -> Function:

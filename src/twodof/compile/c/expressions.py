@@ -4,20 +4,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Any
 
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
 from twodof.blocks.expressions.graph import ordered, unchanging
 from twodof.blocks.expressions.numbers import FLOATS
-from twodof.compile.c.branches import Branch, Choice, Step, steps
+from twodof.compile.c.branches import Branch, Plan, Step
 from twodof.compile.c.graph import index_range
-from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, SIGNED, row
+from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, row
 from twodof.compile.c.statements import (
     EMPTY,
     NOTHING,
     Assign,
     CNames,
-    Copy,
     IfStatement,
     LoopStatement,
     Names,
@@ -25,33 +23,17 @@ from twodof.compile.c.statements import (
     Text,
     constant,
     name_of,
+    stored,
 )
-from twodof.compile.program.flat_program import FlatSignal, Node
+from twodof.compile.program.flat_program import Node
 
 WIDEST_LINE = 150  # an expression that would be longer becomes two
-SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
-MOST_CHOICES = 4  # stores in a row that are read by choices: more are copied, as each reader would choose among all
-
 
 THEN, OTHERWISE = attrgetter("then"), attrgetter("otherwise")
 
 
 def _bracketed(item: Text, loosest: int) -> str:
     return item.text if item.binding <= loosest else f"({item.text})"
-
-
-def _loop_key(item: Expr) -> tuple[Any, ...]:
-    """Return a key that all results of one fold share."""
-    return (*map(id, item.args), *item.data[:2])
-
-
-def _stores(array: Expr) -> int:
-    """Return how many stores in a row made `array`, counted to one more than MOST_CHOICES."""
-    found = 0
-    while array.op == "store" and found <= MOST_CHOICES:
-        array = array.args[0]
-        found += 1
-    return found
 
 
 @dataclass
@@ -76,33 +58,22 @@ class Used:
     functions: set[str] = field(default_factory=set)
 
 
-@dataclass(frozen=True)
-class Leaves:
-    """Functions by which a renderer finds values.
-
-    `text` gives the C of a leaf that is computed already. `driver` gives the expression of a signal that is computed
-    when it is first needed, or None for another leaf; `place` gives the lvalue of such a signal, "" for a new variable;
-    `shown` gives the signal with the value of an expression, or None. `owner` gives a node's block. `stem` begins the
-    names of variables without a block.
-    """
-
-    text: Callable[[Expr], Text]
-    driver: Callable[[Expr], Expr | None] = lambda item: None
-    place: Callable[[FlatSignal], str] = lambda signal: ""
-    shown: Callable[[Expr], Expr | None] = lambda item: None
-    owner: Callable[[Expr], Node | None] = lambda item: None
-    stem: str = "t"
-
-
 class Renderer:
-    """Writes expressions as statements into the list `out`."""
+    """Writes expressions as statements into the list `out`; `leaf` gives the C of a leaf, `block` a node's block."""
 
-    def __init__(self, names: CNames, precision: str, lean: bool, used: Used, leaves: Leaves) -> None:
+    def __init__(
+        self,
+        names: CNames,
+        precision: str,
+        used: Used,
+        leaf: Callable[[Expr], Text],
+        block: Callable[[Expr], Node | None] = lambda item: None,
+    ) -> None:
         self.names = names
         self.precision = precision
-        self.lean = lean
         self.used = used
-        self.leaves = leaves
+        self.leaf = leaf
+        self.block = block
         self.out: list[Statement] = []
         self.owner: Node | None = None  # of statements that belong to no expression
         self.named: dict[int, Text] = {}
@@ -110,14 +81,14 @@ class Renderer:
         self._undo: list[tuple[int, Text | None]] = []  # what the names were before the innermost block
         self.bound: dict[tuple[int, int], Text] = {}
         self.limits: dict[tuple[int, int], int] = {}  # loop counters: one more than the largest value
-        self.targets: dict[int, str] = {}
-        self._hints: dict[int, str] = {}  # names or places of signals for the expressions that give them
-        self._reserved: dict[FlatSignal, str] = {}
+        self.targets: dict[int, str] = {}  # lvalues in which arrays are made
+        self.placed: dict[int, str] = {}  # lvalues of signals that are not variables
+        self._hints: dict[int, Expr] = {}  # signals, by the expressions that give them
+        self._shown: set[int] = set()  # signals whose expressions have been named after them
         self._pointers: set[str] = set()
         self._kept: list[Expr] = []  # nodes made here, whose identities are used as keys
         self._resolved: dict[int, Expr] = {}
         self._before: dict[int, list[Expr]] = {}  # of each loop: nodes that it does not change
-        self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
 
     def know(self, item: Expr, text: Text) -> Text:
         """Use `text` as the C of the node `item` from here on, and return it."""
@@ -144,7 +115,7 @@ class Renderer:
     def texts(self, roots: Iterable[Expr]) -> list[Text]:
         """Return the C texts of `roots`, after the statements that they need. An array's text is a name."""
         self._resolved, self._before = {}, {}  # what was being made may be at hand now
-        return self._texts([self._shown(self._resolve(r)) for r in roots])
+        return self._texts([self._resolve(r) for r in roots])
 
     def text(self, root: Expr) -> Text:
         """Return the C text of one expression."""
@@ -154,17 +125,11 @@ class Renderer:
         """Return the C of the index `root` into an array, clamped to `width` unless its range shows that it fits."""
         return Text(self._index(self._resolve(root), text, width), ATOM, text.reads)
 
-    def put(self, target: str, value: Text, more: Names = NOTHING, owner: Node | None = None) -> None:
-        """Add a statement that stores a value in an lvalue; `more` are variables that the lvalue reads."""
+    def put(self, target: str, value: Text, kind: str = "", width: int | None = None, more: Names = NOTHING) -> None:
+        """Add a statement that stores a number, or an array of `width`, in an lvalue, which reads the names `more`."""
         base = name_of(target)
         reads = value.reads | more | ({base} if base in self._pointers else NOTHING)
-        self.out.append(Assign(target, value.text, owner=owner or self.owner, reads=reads))
-
-    def copy(self, target: str, source: Text, width: int, kind: str, owner: Node | None = None) -> None:
-        """Add a statement that copies an array."""
-        base = name_of(target)
-        reads = source.reads | ({base} if base in self._pointers else NOTHING)
-        self.out.append(Copy(target, source.text, width, C_TYPES[kind], owner=owner or self.owner, reads=reads))
+        self.out.append(stored(target, value.text, kind, width, self.owner, reads))
 
     def declare(self, name: str, kind: str, value: Text = EMPTY, fixed: bool = False, width: int | None = None) -> None:
         """Add the declaration of a variable, which does not change if it is `fixed`."""
@@ -180,10 +145,8 @@ class Renderer:
                 self.targets.setdefault(id(root), target)
         texts = self._texts(roots)
         for (target, _), root, text in zip(targets, roots, texts, strict=True):
-            if root.width is None:
-                self.put(target, text)
-            elif text.text != target:
-                self.copy(target, text, root.width, root.kind)
+            if text.text != target:
+                self.put(target, text, root.kind, root.width)
 
     def _texts(self, roots: Sequence[Expr]) -> list[Text]:
         order = ordered(roots, self._args)
@@ -197,43 +160,22 @@ class Renderer:
         batch = Batch(uses, before, {id(r) for r in roots if uses[id(r)] == 1})
         hand, optional = set(), set()
         for item in order:
-            if item.op == "fold":
-                self._wanted.setdefault(_loop_key(item), set()).add(item.data[2])
-            driver = self._driver(item)
-            if driver is not None:
-                self._hint(item.data, driver)
-                if item.width is None and not self.leaves.place(item.data):
-                    optional.add(id(item))
-            elif item.op in LEAVES or id(item) in self.named:
+            if item.op in LEAVES or id(item) in self.named:
                 hand.add(id(item))
-        found = steps(order, self._args, roots, hand, optional, bool(self.bound))
+            elif item.op == "signal":
+                self._hints.setdefault(id(self._resolve(item.args[0])), item)
+                if item.width is None and id(item) not in self.placed:
+                    optional.add(id(item))
+        found = Plan(order, self._args, roots, hand, optional, bool(self.bound)).steps()
         self._count(batch, found)
         self._steps(batch, found)
         return [batch.texts[id(r)] for r in roots]
-
-    def _driver(self, item: Expr) -> Expr | None:
-        """Return the expression of a signal that is not computed yet."""
-        if item.op != "input" or id(item) in self.named:
-            return None
-        driver = self.leaves.driver(item)
-        return None if driver is None else self._resolve(driver)
-
-    def _hint(self, signal: FlatSignal, root: Expr) -> None:
-        """Let an expression be computed where its signal stands."""
-        if root.op in LEAVES or any(id(root) in known for known in (self.named, self._hints, self.targets)):
-            return
-        place = self.leaves.place(signal)
-        if not place:
-            if signal not in self._reserved:
-                self._reserved[signal] = self._hints[id(root)] = self.names.new(signal.path)
-        elif root.width is not None and root.op in ("vector", "build", "store"):
-            self.targets[id(root)] = place
 
     def _count(self, batch: Batch, found: Iterable[Step]) -> None:
         """Count a condition once for all values that one branch decides."""
         for step in found:
             if isinstance(step, Branch):
-                batch.uses[id(step.condition)] += 1 - sum(1 for item in step.chosen if item.op != "input")
+                batch.uses[id(step.condition)] += 1 - sum(1 for item in step.chosen if item.op != "signal")
                 self._count(batch, step.then)
                 self._count(batch, step.otherwise)
 
@@ -250,68 +192,65 @@ class Renderer:
             batch.texts[id(item)] = self.named[id(item)]
             return
         outer = self.owner
-        self.owner = self.leaves.owner(item) or outer
+        self.owner = self.block(item) or outer
         batch.texts[id(item)] = self._found(batch, item)
         self.owner = outer
 
     def _found(self, batch: Batch, item: Expr) -> Text:
-        driver = self._driver(item)
-        if driver is not None:
-            found = self._signal(item, driver, batch.texts[id(driver)])
-            batch.texts[id(driver)] = self.named.get(id(driver), batch.texts[id(driver)])
-            return found
         args = [batch.texts[id(a)] for a in self._args(item)][: len(item.outside)]
+        if item.op == "signal":
+            return self._signal(item, args[0])
         if item.op in ("vector", "build", "store", "fold"):
             return self.know(item, self._statement(item, args))
         made = self._expression(item, args)
-        trivial = item.op in LEAVES or (item.op == "select" and "(" not in made.text) or self._counts(item)
         shared = batch.uses[id(item)] > 1 or id(item) in batch.before
+        trivial = item.op in LEAVES or (item.op == "select" and "(" not in made.text) or self._counts(item)
         if trivial or not (shared or (len(made.text) > WIDEST_LINE and id(item) not in batch.whole)):
             return made
         return self._variable(item, made)
 
     def _variable(self, item: Expr, value: Text) -> Text:
         """Keep a number in a variable."""
-        name = self._hints.pop(id(item), "") or self._numbered()
+        name = self._new_name(item)
         self.declare(name, item.kind, value, fixed=True)
-        return self.know(item, Text(name, ATOM, frozenset((name,))))
+        return self.know(item, Text.of(name))
 
-    def _numbered(self) -> str:
-        owner = self.owner.path if self.owner is not None else self.leaves.stem
-        return self.names.numbered(f"{owner}_t" if owner != "t" else owner)
+    def _new_name(self, item: Expr) -> str:
+        """Return the name of a new variable for a node: that of the signal with its value, or with a number."""
+        signal = item if item.op == "signal" else self._hints.pop(id(item), None)
+        if signal is not None:
+            self._shown.add(id(signal))
+            return self.names.new(signal.data.path)
+        if item.width is not None:
+            return self.names.new(f"{self._stem()}array")
+        return self.names.numbered(f"{self._stem()}t")
 
-    def _signal(self, item: Expr, root: Expr, text: Text) -> Text:
-        """Store a signal's value where it stands, or in a variable of its own."""
-        signal: FlatSignal = item.data
-        place = self.leaves.place(signal)
-        if place:
+    def _stem(self) -> str:
+        return f"{self.owner.path}_" if self.owner is not None else ""
+
+    def _signal(self, item: Expr, text: Text) -> Text:
+        """Store a signal's value where it stands, or in a variable; a variable points to an array that stays."""
+        root = self._resolve(item.args[0])
+        place = self.placed.get(id(item))
+        if place is not None:
             if text.text != place:
-                if item.width is None:
-                    self.put(place, text)
-                else:
-                    self.copy(place, text, item.width, item.kind)
-            found = Text(place, ATOM, frozenset((name_of(place),)))
-        else:
-            name = self._reserved.get(signal, "")
-            if not name or (text.text != name and self._hints.pop(id(root), "") != name):
-                name = self.names.new(signal.path)
-            if text.text != name:
-                self._own_variable(name, item, root, text)
-            found = Text(name, ATOM, frozenset((name,)))
-        if root.op not in LEAVES and root.width is None:
-            self.know(root, found)
-        return self.know(item, found)
-
-    def _own_variable(self, name: str, item: Expr, root: Expr, text: Text) -> None:
-        """Declare a signal's variable; an array that does not change is pointed to."""
+                self.put(place, text, item.kind, item.width)
+            if root.op not in LEAVES and root.width is None:
+                self.know(root, Text.of(place))
+            return self.know(item, Text.of(place))
+        if id(root) in self.named and id(item) in self._shown:
+            return self.know(item, text)
         if item.width is None:
-            self.declare(name, item.kind, text, fixed=True)
-        elif root.op == "state":
+            new = id(root) not in self.named and root.op not in (*LEAVES, "signal")
+            return self.know(item, self._variable(root if new else item, text))
+        name = self.names.new(item.data.path)
+        if root.op == "state":
             self.declare(name, item.kind, width=item.width)
-            self.copy(name, text, item.width, item.kind)
+            self.put(name, text, item.kind, item.width)
         else:
             declared = f"const {C_TYPES[item.kind]} *const"
             self.out.append(Assign(name, text.text, declared, owner=self.owner, reads=text.reads))
+        return self.know(item, Text.of(name))
 
     def _branch(self, batch: Batch, branch: Branch) -> None:
         """Add an `if` that gives variables their values."""
@@ -321,8 +260,8 @@ class Renderer:
                 if side.op == "const" and id(side) not in batch.texts:
                     batch.texts[id(side)] = constant(side.data, side.kind, self.precision)
         outer = self.owner
-        self.owner = self.leaves.owner(branch.chosen[0]) or outer
-        names = [self._variable_name(item, choice) for item, choice in decided]
+        self.owner = self.block(branch.chosen[0]) or outer
+        names = [self._new_name(item) for item in branch.chosen]
         for (item, _), name in zip(decided, names, strict=True):
             self.declare(name, item.kind)
         test = batch.texts[id(branch.condition)]
@@ -333,19 +272,7 @@ class Renderer:
         self.out.append(IfStatement(test.text, *sides, owner=self.owner, reads=test.reads))
         self.owner = outer
         for (item, _), name in zip(decided, names, strict=True):
-            batch.texts[id(item)] = self.know(item, Text(name, ATOM, frozenset((name_of(name),))))
-
-    def _variable_name(self, item: Expr, choice: Choice) -> str:
-        """Return the name of a variable to which a branch gives a node's value."""
-        if item.op != "input":
-            return self._hints.pop(id(item), "") or self._numbered()
-        for side in (choice.then, choice.otherwise):
-            name = self._hints.pop(id(side), "")
-            if name and name == self._reserved.get(item.data):
-                return name
-            if name:
-                self._hints[id(side)] = name
-        return self.names.new(item.data.path)
+            batch.texts[id(item)] = self.know(item, Text.of(name))
 
     def _side(self, batch: Batch, found: Sequence[Step], rows: Sequence[tuple[str, Expr]]) -> list[Statement]:
         """Return one side of a branch, which gives each variable its value."""
@@ -362,80 +289,33 @@ class Renderer:
     def _args(self, item: Expr) -> tuple[Expr, ...]:
         if id(item) in self.named:
             return ()
-        driver = self._driver(item)
-        if driver is not None:
-            return (driver,)
         args = (*item.outside, *(self._unchanging(item) if item.op in LOOPS else ()))
-        return tuple(self._shown(self._resolve(a)) for a in args)
-
-    def _shown(self, item: Expr) -> Expr:
-        """Return the signal that shows a value, so that all read the same; without one, the value."""
-        if id(item) in self.named or self.bound:
-            return item
-        signal = self.leaves.shown(item)
-        there = signal is not None and (id(signal) in self.named or self.leaves.driver(signal) is not None)
-        return signal if signal is not None and there else item
+        return tuple(self._resolve(a) for a in args)
 
     def _unchanging(self, loop: Expr) -> list[Expr]:
         """Return what is computed before a loop: arrays, loops and calls that it does not change, and signals."""
         if id(loop) in self.named:
             return []
         if id(loop) not in self._before:
-            self._before[id(loop)] = unchanging(
-                loop, self._resolve, self._bodies, lambda item: self._driver(item) is not None
-            )
+            self._before[id(loop)] = unchanging(loop, self._resolve, lambda item: item.op == "signal")
             self._kept.append(loop)
         return self._before[id(loop)]
-
-    def _bodies(self, loop: Expr) -> Sequence[Expr]:
-        """Return what a loop must evaluate for the one result that its node stands for."""
-        if loop.op == "build":
-            return loop.bodies
-        _, depth, which = loop.data
-        return [loop.bodies[j] for j in self._carried(loop.bodies, depth, {which})]
 
     def _resolve(self, item: Expr) -> Expr:
         """Return `item`, or for an element of an array that is just being made, that element."""
         start = item
-        found = self._resolved.get(id(start))
-        if found is not None:
-            return found
-        while item.op == "select" and id(item) not in self.named:
+        if id(start) in self._resolved:
+            return self._resolved[id(start)]
+        while item.op == "select" and id(item) not in self.named and item.args[1].op == "const":
             array, index = item.args
-            made = self._made(array)
-            if made.op == "vector" and index.op == "const":
-                item = made.args[min(max(index.data, 0), len(made.args) - 1)]
-            elif array.width is not None and array.width > SMALL_ARRAY and 0 < _stores(array) <= MOST_CHOICES:
-                base, where, value = array.args
-                same = self._keep("eq", "bool", (self._clamped(index, array.width), self._clamped(where, array.width)))
-                other = self._keep("select", array.kind, (base, index))
-                item = self._keep("where", array.kind, (same, value, other))
-            else:
+            while array.op == "signal" and id(array) not in self.named:
+                array = array.args[0]
+            if array.op != "vector":
                 break
+            item = array.args[min(max(index.data, 0), len(array.args) - 1)]
         self._resolved[id(start)] = item
         self._kept.append(start)
         return item
-
-    def _made(self, array: Expr) -> Expr:
-        """Return the expression of an array that is still to be computed."""
-        while array.op == "input" and id(array) not in self.named:
-            driver = self.leaves.driver(array)
-            if driver is None:
-                break
-            array = driver
-        return array
-
-    def _keep(self, op: str, kind: str, args: tuple[Expr, ...], data: Any = None) -> Expr:
-        made = node(op, kind, args, data)
-        self._kept.append(made)
-        return made
-
-    def _clamped(self, index: Expr, width: int) -> Expr:
-        if index.op == "const":
-            return self._keep("const", "int32", (), min(max(index.data, 0), width - 1))
-        last, zero = self._keep("const", "int32", (), width - 1), self._keep("const", "int32", (), 0)
-        upper = self._keep("where", "int32", (self._keep("lt", "bool", (index, last)), index, last))
-        return self._keep("where", "int32", (self._keep("lt", "bool", (upper, zero)), zero, upper))
 
     def _index(self, index: Expr, text: Text, width: int) -> str:
         if index.op == "const":
@@ -455,7 +335,7 @@ class Renderer:
         if item.op == "bound":
             return self.bound[item.data]
         if item.op in LEAVES:
-            return self.leaves.text(item)
+            return self.leaf(item)
         reads = NOTHING.union(*(a.reads for a in args))
         if item.op == "select":
             return Text(self._element(item, args[0].text, args[1]), ATOM, reads)
@@ -489,9 +369,6 @@ class Renderer:
         if op in COMPARISONS:
             if same and operand not in FLOATS:  # compilers warn about these; a float may be NaN
                 return ("true" if op in ("le", "eq") else "false"), ATOM
-            if self.lean and op in ("eq", "ne") and operand in FLOATS:
-                equal = f"{self._use(f'{operand}_equal')}({args[0].text}, {args[1].text})"
-                return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
         elif op == "xor" and operand == "bool" and same:
             return "false", ATOM
         elif op in PLAIN and index_range(item, self.limits) is not None:
@@ -513,9 +390,8 @@ class Renderer:
         target, width = self.targets.get(id(item)), item.width
         if width is None:
             raise ValueError("an array without a width")
-        stem = self.owner.path if self.owner is not None else self.leaves.stem
-        name = target or self._hints.pop(id(item), "") or self.names.new(f"{stem}_array")
-        found = Text(name, ATOM, frozenset((name_of(name),)))
+        name = target or self._new_name(item)
+        found = Text.of(name)
         if item.op == "vector":
             if target is None:
                 reads = NOTHING.union(*(a.reads for a in args))
@@ -527,9 +403,9 @@ class Renderer:
         if target is None:
             self.declare(name, item.kind, width=width)
         if item.op == "store":
-            self.copy(name, args[0], width, item.kind)
+            self.put(name, args[0], item.kind, width)
             at = self._index(self._resolve(item.args[1]), args[1], width)
-            self.put(f"{name}[{at}]", args[2], args[1].reads)
+            self.put(f"{name}[{at}]", args[2], more=args[1].reads)
             return found
         length, depth = item.data
         with self._loop(length, depth) as counter:
@@ -552,54 +428,28 @@ class Renderer:
             self.targets[id(body)] = part
         (text,) = self._texts([body])
         if text.text != part:
-            self.copy(part, text, body.width or 1, body.kind)
+            self.put(part, text, body.kind, body.width)
         self.targets.pop(id(body), None)
 
     def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
-        length, depth, which = item.data
-        bodies = item.bodies
-        needed = self._carried(bodies, depth, {which} | self._wanted.get(_loop_key(item), set()))
-        stem = self.owner.path if self.owner is not None else self.leaves.stem
-        names = {j: self.names.new(f"{stem}_sum") for j in needed}
-        values = {j: Text(name, ATOM, frozenset((name,))) for j, name in names.items()}
-        for j, name in names.items():
-            self.declare(name, bodies[j].kind, args[j])
+        length, depth = item.data[:2]
+        which: int = item.data[2]
+        values = [Text.of(self.names.new(f"{self._stem()}sum")) for _ in args]
+        for value, body, start in zip(values, item.bodies, args, strict=True):
+            self.declare(value.text, body.kind, start)
         with self._loop(length, depth):
-            for j, value in values.items():
-                self.bound[depth, j + 1] = value
-            texts = self._texts([self._resolve(bodies[j]) for j in needed])
-            if len(names) == 1:
-                self.put(names[needed[0]], texts[0])
-            else:
-                nexts = [self.names.new(f"{names[j]}_next") for j in needed]
-                for j, new, text in zip(needed, nexts, texts, strict=True):
-                    self.declare(new, bodies[j].kind, text, fixed=True)
-                for j, new in zip(needed, nexts, strict=True):
-                    self.put(names[j], Text(new, ATOM, frozenset((new,))))
-        for j, value in values.items():  # the loop's other results
-            self.know(self._keep("fold", bodies[j].kind, item.args, (length, depth, j)), value)
+            self.bound |= {(depth, j): value for j, value in enumerate(values, 1)}
+            nexts = self._texts([self._resolve(body) for body in item.bodies])
+            if len(values) > 1:  # each reads the old ones
+                new = [Text.of(self.names.new(f"{value.text}_next")) for value in values]
+                for name, body, text in zip(new, item.bodies, nexts, strict=True):
+                    self.declare(name.text, body.kind, text, fixed=True)
+                nexts = new
+            for value, text in zip(values, nexts, strict=True):
+                self.put(value.text, text)
+        for j, (value, body) in enumerate(zip(values, item.bodies, strict=True)):  # the loop's other results
+            self.know(node("fold", body.kind, item.args, (length, depth, j)), value)
         return values[which]
-
-    def _carried(self, bodies: Sequence[Expr], depth: int, wanted: set[int]) -> list[int]:
-        """Return the values that a fold must carry so that those `wanted` come out."""
-        found: set[int] = set()
-        seen: set[int] = set()
-        stack = list(wanted)
-        while stack:
-            j = stack.pop()
-            if j in found:
-                continue
-            found.add(j)
-            below = [bodies[j]]
-            while below:
-                e = below.pop()
-                if id(e) not in seen and e.loops >> depth & 1:
-                    seen.add(id(e))
-                    shadowed = e.op in LOOPS and e.data[1] == depth  # its bodies read its own variables
-                    below += e.outside if shadowed else e.args
-                    if e.op == "bound" and e.data[1]:
-                        stack.append(e.data[1] - 1)
-        return sorted(found)
 
     @contextmanager
     def _loop(self, length: int, depth: int) -> Iterator[str]:

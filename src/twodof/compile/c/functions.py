@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from twodof.compile.c.statements import (
     Assign,
-    IfStatement,
-    LoopStatement,
     Statement,
-    SwitchStatement,
     every,
     without_unread,
     written,
@@ -41,14 +38,13 @@ def describe(node: Node) -> str:
 
 @dataclass(eq=False)
 class Function:
-    """A C function: type of the result, name, parameters, body, a comment `remark`; `part` names it in source maps."""
+    """A C function: type of the result, name, parameters, body; `part` names it in source maps."""
 
     result: str
     name: str
     parameters: tuple[str, ...]
     body: list[Statement]
     part: str
-    remark: str = ""
 
     @property
     def head(self) -> str:
@@ -86,21 +82,20 @@ class Listing:
         self.lines += more
         self.marks += [mark] * len(more)
 
-    def function(self, function: Function, role: str = "", block: str = "") -> None:
+    def function(self, function: Function, role: str = "") -> None:
         """Add a function; lines of no block and no role of their own get `role`."""
         without_unread(function.body)
         self.cost += _cost(function.body)
         used = {name for s in every(function.body) for name in (*s.reads, written(s))}
         head = Mark(function.part, "", "head")
-        if function.remark:
-            self.add(f"/* {function.remark} */", head)
         self.add(f"{function.head}\n{{", head)
         pointers = [p for p, name in zip(function.parameters, function.arguments(), strict=True) if name not in used]
         for idle in pointers:
             if "*" in idle:
                 name = idle.split()[-1].lstrip("*")
                 self.add(f"    (void){name};", Mark(function.part, "", "unused argument"))
-        _Body(self, function.part, role).print(function.body, 1, ("", role))
+        for line, origin in _lines(function.body, 1, ("", role), role):
+            self.add(line, Mark(function.part, *origin))
         self.add("}\n\n", head)
 
     def text(self) -> str:
@@ -124,77 +119,21 @@ def _cost(body: Sequence[Statement]) -> int:
     return total
 
 
-class _Body:
-    """Prints statements; a comment stands above what belongs together."""
+def _lines(
+    statements: Sequence[Statement], depth: int, around: tuple[str, str], role: str
+) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Yield the lines of statements, each with its block or its role; a comment stands above what belongs together.
 
-    def __init__(self, listing: Listing, part: str, role: str) -> None:
-        self.listing = listing
-        self.part = part
-        self.role = role
-
-    def print(self, statements: Sequence[Statement], depth: int, around: tuple[str, str]) -> None:
-        """Add the lines of statements; `around` is the block or role that the last comment named."""
-        told = around
-        for statement in statements:
-            mine = self._named(statement)
-            if mine != told:
-                comment = self._comment(statement)
-                if comment:
-                    self._line(depth, comment, statement)
-                told = mine
-            self._statement(statement, depth, mine)
-            if isinstance(statement, IfStatement) and statement.role == "condition":
-                told = ("", "")
-
-    def _named(self, statement: Statement) -> tuple[str, str]:
-        if statement.owner is not None:
-            return statement.owner.path, ""
-        return "", statement.role or self.role
-
-    def _comment(self, statement: Statement) -> str:
-        if statement.owner is not None:
-            return describe(statement.owner)
-        return COMMENTS.get(statement.role, "")
-
-    def _line(self, depth: int, text: str, statement: Statement) -> None:
-        block, role = self._named(statement)
-        self.listing.add("    " * depth + text, Mark(self.part, block, role))
-
-    def _statement(self, statement: Statement, depth: int, mine: tuple[str, str]) -> None:
-        if isinstance(statement, IfStatement):
-            self._branch(statement, depth, mine)
-        elif isinstance(statement, LoopStatement):
-            self._line(depth, f"{statement.head} {{".lstrip(), statement)
-            self.print(statement.body, depth + 1, mine)
-            self._line(depth, f"}} {statement.end}".rstrip(), statement)
-        elif isinstance(statement, SwitchStatement):
-            self._line(depth, f"switch ({statement.value}) {{", statement)
-            for case in statement.cases:
-                if not case.body and case.label == "default":
-                    self._line(depth, "default: break;", statement)
-                    continue
-                comment = f" /* {case.comment} */" if case.comment else ""
-                self._line(depth, f"{case.label}: {{{comment}", statement)
-                self.print(case.body, depth + 1, mine)
-                self._line(depth + 1, "break;", statement)
-                self._line(depth, "}", statement)
-            self._line(depth, "}", statement)
-        else:
-            self._line(depth, statement.text(), statement)
-
-    def _branch(self, branch: IfStatement, depth: int, mine: tuple[str, str]) -> None:
-        inside = ("", "") if branch.role == "condition" else mine
-        self._line(depth, f"if ({branch.test}) {{", branch)
-        while True:
-            self.print(branch.then, depth + 1, inside)
-            rest = branch.otherwise
-            if not rest:
-                break
-            if len(rest) == 1 and isinstance(rest[0], IfStatement):
-                branch = rest[0]
-                self._line(depth, f"}} else if ({branch.test}) {{", branch)
-                continue
-            self._line(depth, "} else {", branch)
-            self.print(rest, depth + 1, inside)
-            break
-        self._line(depth, "}", branch)
+    `around` is the block or role that the last comment named, `role` that of statements without one.
+    """
+    told, indent = around, "    " * depth
+    for s in statements:
+        mine = (s.owner.path, "") if s.owner is not None else ("", s.role or role)
+        comment = COMMENTS.get(s.role, "") if s.owner is None else describe(s.owner)
+        if mine != told and comment:
+            yield indent + comment, mine
+        told = ("", "") if s.role == "condition" else mine
+        for head, body in s.parts:
+            yield indent + head, mine
+            yield from _lines(body, depth + 1, told, role)
+        yield indent + (s.last if s.parts else s.text()), mine

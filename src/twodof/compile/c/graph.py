@@ -1,9 +1,9 @@
 """Rewriting of expressions: over program leaves, short loops unrolled, `prepare` in float64, ranges of indices."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import LOOPS, Expr
+from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr
 from twodof.blocks.expressions.expr import node as make
 from twodof.blocks.expressions.graph import OPERATIONS, ordered, walk
 from twodof.blocks.expressions.numbers import FLOATS
@@ -20,17 +20,29 @@ Span = tuple[int, int]
 
 
 class ProgramGraph:
-    """The expressions of all blocks over leaves that are unique in the program, with short loops written out.
+    """The expressions of all blocks, connected, with short loops written out.
 
-    The `data` of an `input` leaf is a FlatSignal, and that of a `state` leaf (node, name). A given parameter has a
-    FlatParameter, a derived one (node, name). `dt` becomes a constant.
+    A `signal` node names its argument, the value of a FlatSignal; the `data` of both it and an `input` leaf is that
+    signal. The `data` of a `state` leaf is (node, name). A given parameter has a FlatParameter, a derived one
+    (node, name). `dt` becomes a constant. A value that is computed at every tick is replaced by the signal that shows
+    it, if that is one of `shown`.
     """
 
-    def __init__(self, program: FlatProgram) -> None:
+    def __init__(self, program: FlatProgram, shown: Container[FlatSignal] = ()) -> None:
         self.program = program
         self._owners: dict[int, Node] = {}
         self._made: dict[Node, dict[int, Expr]] = {}
         self._kept: list[Expr] = []  # nodes whose identities are keys
+        self._shown: dict[int, Expr] = {}
+        self._signals = {s: make("input", s.kind, (), s, s.width) for s in program.inputs.values()}
+        for signal in (s for group in (*program.tick, *program.stage) for a in group.actions for s in a.signals):
+            if signal.node is None or signal in self._signals:
+                continue
+            root = signal.node.trace.outputs[signal.port]
+            value = self.of(signal.node, root)
+            self._signals[signal] = made = make("signal", signal.kind, (value,), signal, signal.width)
+            if signal in shown and value.op not in (*LEAVES, "signal"):
+                self._shown[id(value)] = self._made[signal.node][id(root)] = made
 
     def of(self, node: Node, root: Expr) -> Expr:
         """Return an expression of the block `node` over the program's leaves."""
@@ -42,23 +54,21 @@ class ProgramGraph:
             return item
 
         for item in walk([root], known=made):
-            new = own(self._rewritten(node, item, [made[id(a)] for a in item.args]))
-            made[id(item)] = written_out(new, own)
+            new = written_out(own(self._rewritten(node, item, [made[id(a)] for a in item.args])), own)
+            made[id(item)] = self._shown.get(id(new), new)
         return made[id(root)]
 
-    def output(self, signal: FlatSignal) -> Expr:
-        """Return the expression of a signal that a block gives."""
-        if signal.node is None:
-            raise ValueError(f"{signal.path} is an input of the program")
-        return self.of(signal.node, signal.node.trace.outputs[signal.port])
+    def signal(self, signal: FlatSignal) -> Expr:
+        """Return the node that stands for a signal's value."""
+        return self._signals[signal]
 
     def owner(self, item: Expr) -> Node | None:
         """Return the block that an expression was first made for."""
-        return item.data.node if item.op == "input" else self._owners.get(id(item))
+        return item.data.node if item.op == "signal" else self._owners.get(id(item))
 
     def _rewritten(self, node: Node, item: Expr, args: Sequence[Expr]) -> Expr:
         if item.op == "input":
-            return leaf(node.drivers[item.data])
+            return self._signals[node.drivers[item.data]]
         if item.op == "state":
             return make("state", item.kind, (), (node, item.data), item.width)
         if item.op == "param":
@@ -68,11 +78,6 @@ class ProgramGraph:
             seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
             return make("const", item.kind, (), seconds)
         return make(item.op, item.kind, tuple(args), item.data, item.width)
-
-
-def leaf(signal: FlatSignal) -> Expr:
-    """Return the leaf that stands for a signal's value."""
-    return make("input", signal.kind, (), signal, signal.width)
 
 
 def written_out(loop: Expr, own: Callable[[Expr], Expr]) -> Expr:

@@ -9,7 +9,6 @@ from twodof.compile.c.operators import C_TYPES
 # that is too large for an integer is a power of two, exact in both precisions.
 _EXPRESSIONS: tuple[tuple[str, str], ...] = (
     ("int32_t clamp_index(int32_t i, int32_t last)", "i < 0 ? 0 : i > last ? last : i"),
-    ("bool real_equal(real x, real y)", "x <= y && x >= y"),  # for a compiler that warns of x == y
     ("int32_t int32_add(int32_t a, int32_t b)", "(int32_t)((uint32_t)a + (uint32_t)b)"),
     ("int32_t int32_sub(int32_t a, int32_t b)", "(int32_t)((uint32_t)a - (uint32_t)b)"),
     ("int32_t int32_mul(int32_t a, int32_t b)", "(int32_t)((uint32_t)a * (uint32_t)b)"),

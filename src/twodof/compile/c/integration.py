@@ -1,14 +1,24 @@
 """Integration of continuous states in the step function: a loop over the method's stages, edges, and projections."""
 
-from collections.abc import Callable
+from collections.abc import Container
 from typing import NamedTuple
 
-from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.c.commit import changed, commit
-from twodof.compile.c.expressions import Leaves, Renderer
+from twodof.compile.c.expressions import Renderer
+from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.operators import C_TYPES
-from twodof.compile.c.statements import Assign, Call, Copy, IfStatement, LoopStatement, Statement, every, name_of
+from twodof.compile.c.schedule import integrated_signals
+from twodof.compile.c.statements import (
+    Assign,
+    Call,
+    IfStatement,
+    LoopStatement,
+    Statement,
+    Text,
+    every,
+    name_of,
+    stored,
+)
 from twodof.compile.c.step import StepEmitter, all_of
 from twodof.compile.program.flat_program import FlatSignal, Group, Node
 
@@ -40,13 +50,15 @@ class Integration:
     def __init__(self, step: StepEmitter) -> None:
         self.step = step
         self.scope = step.scope
-        self.layout, self.graph, self.program = step.layout, step.graph, step.program
+        self.layout, self.program = step.layout, step.program
+        self.graph = ProgramGraph(self.program)  # without the tick's names of values that change inside the step
         self.names = step.renderer.names
         self.nodes = self.program.integrated
         self.x, self.at, self.sum, self.slope = map(self.names.new, ("x", "at", "sum", "slope"))
         self.real = C_TYPES["real"]
         self.struct = f"{self.program.name}_X"
-        self._given: dict[FlatSignal, str] = {}  # signals with a variable of their own inside the loop
+        self._given: dict[FlatSignal, Text] = {}  # signals with a variable of their own inside the loop
+        self._read = sorted(set(integrated_signals(self.program)), key=lambda s: s.path)
         self._inside = {s for g in self.program.stage if g.guard.always for a in g.actions for s in a.signals}
 
     def write(self) -> None:
@@ -75,20 +87,18 @@ class Integration:
         with step.renderer.within() as body:
             body.append(self._assign(end, one, self.real))
             for s, (fraction, after) in step.fractions.items():
-                text = step.signal(s)
-                changed = f"{text} != {after}"
-                if self.scope.lean and s.kind in FLOATS:
-                    self.scope.used.helpers.add(f"{s.kind}_equal")
-                    changed = f"!{s.kind}_equal({text}, {after})"
-                test = f"{changed} && {fraction} > {start} && {fraction} < {end}"
-                reads = frozenset((fraction, after, name_of(text), start, end))
+                text, reads = step.signal(s)[::2]
+                test = f"{text} != {after} && {fraction} > {start} && {fraction} < {end}"
+                reads |= {fraction, after, start, end}
                 body.append(IfStatement(test, [self._assign(end, fraction, "", fraction)], role=ROLE, reads=reads))
-                name = self._given[s] = self.names.new(f"{s.path}.now")
+                name = self.names.new(f"{s.path}.now")
+                self._given[s] = Text.of(name)
                 now = f"{start} >= {fraction} ? {after} : {text}"
-                body.append(self._assign(name, now, f"const {self.real}", start, fraction, after, text))
+                body.append(self._assign(name, now, f"const {self.real}", *reads))
             dt = self.scope.constant(self.program.dt, "real")
             body.append(self._assign(h, f"({end} - {start}) * {dt}", f"const {self.real}", start, end))
             self._stages(h)
+            self._given.clear()
             body.append(self._assign(start, end, "", end))
         out.append(LoopStatement("do", body, f"while ({start} < {one});", role=ROLE, reads=frozenset((start,))))
 
@@ -135,11 +145,7 @@ class Integration:
 
     def _slopes(self) -> None:
         """Add the derivatives of all states at the states `at`; those of disabled blocks too, which are not used."""
-        renderer = self._renderer(
-            self.at,
-            lambda s: self._given.get(s) or self.step.signal(s),
-            lambda item: self.graph.output(item.data) if item.data in self._inside else None,
-        )
+        renderer = self._renderer(self.at, self._inside)
         for group in self.program.stage:
             if not group.guard.always:
                 self._guarded(renderer, group)
@@ -157,35 +163,34 @@ class Integration:
         """Add the outputs of blocks that may be disabled, which start with their values of the tick."""
         signals = [s for a in group.actions for s in a.signals]
         for s in signals:
-            name, held = self.names.new(s.path), self.step.signal(s)
-            reads = frozenset((name_of(held),))
-            value = held if s.width is None else ""
-            renderer.out.append(Assign(name, value, C_TYPES[s.kind], s.width, owner=s.node, reads=reads))
-            if s.width is not None:
-                renderer.out.append(Copy(name, held, s.width, C_TYPES[s.kind], owner=s.node, reads=reads))
-            self._given[s] = name
+            name, renderer.owner = self.names.new(s.path), s.node
+            renderer.declare(name, s.kind, width=s.width)
+            renderer.put(name, self.step.signal(s), s.kind, s.width)
+            renderer.know(self.graph.signal(s), Text.of(name))
         with renderer.within() as body:
             for s in signals:
                 renderer.owner = s.node
-                renderer.assign([(self._given[s], self.graph.output(s))])
+                node = self.graph.signal(s)
+                renderer.assign([(renderer.named[id(node)].text, node.args[0])])
         renderer.owner = None
         self.step.guarded(self.step.tests(group.guard), body)
 
-    def _renderer(
-        self, states: str, signal: Callable[[FlatSignal], str], driver: Callable[[Expr], Expr | None]
-    ) -> Renderer:
-        """Return a renderer that reads the continuous states from the struct `states`."""
+    def _renderer(self, states: str, again: Container[FlatSignal] = ()) -> Renderer:
+        """Return a renderer that reads the continuous states from the struct `states`, and computes signals `again`."""
 
         def state(node: Node, name: str) -> str:
             continuous = any(s.name == name for s in node.continuous)
             return f"{states}.{self.layout.states[node, name].name}" if continuous else self.scope.state(node, name)
 
-        made = self.scope.renderer(self.names, Leaves(self.scope.leaf(signal, state), driver, owner=self.graph.owner))
+        made = self.scope.renderer(self.names, self.scope.leaf(state), self.graph.owner)
         made.out = self.step.renderer.out
+        for s in self._read:
+            if s not in again:
+                made.know(self.graph.signal(s), self._given.get(s) or self.step.signal(s))
         return made
 
     def _project(self, node: Node) -> None:
-        renderer = self._renderer(self.x, self.step.signal, lambda item: None)
+        renderer = self._renderer(self.x)
         values = {name: self.graph.of(node, e) for name, e in node.trace.project.items()}
         commit(renderer, changed(node, values, lambda name: f"{self.x}.{self.layout.states[node, name].name}"))
 
@@ -198,11 +203,8 @@ class Integration:
             body: list[Statement] = []
             for s in node.continuous:
                 name = self.layout.states[node, s.name].name
-                target, source = f"{self.x}.{name}", f"s->x.{name}"
-                if s.width is None:
-                    body.append(Assign(target, source, role="disabled states", reads=reads))
-                else:
-                    body.append(Copy(target, source, s.width, C_TYPES[s.kind], role="disabled states", reads=reads))
+                role = "disabled states"
+                body.append(stored(f"{self.x}.{name}", f"s->x.{name}", s.kind, s.width, None, reads, role))
             enabled = all_of(self.step.tests(node.guard))
             out.append(IfStatement(f"!({enabled.text})", body, role="disabled states", reads=enabled.reads))
         out.append(Assign("s->x", self.x, role="next states", reads=frozenset(("s", self.x))))

@@ -6,7 +6,7 @@ and change in place, in the order of the actions, as only the machine reads them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 
 from twodof.blocks.expressions.expr import Expr
@@ -14,45 +14,45 @@ from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import ELAPSED, MODE, OUTER_ELAPSED, Leaf, Route, last, owner_clock
 from twodof.blocks.state_machine.state_machine import LONGEST
 from twodof.compile.c.commit import changed, commit
-from twodof.compile.c.expressions import Leaves, Renderer
+from twodof.compile.c.expressions import Renderer
+from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import (
     Call,
-    Case,
     IfStatement,
     LoopStatement,
     Statement,
-    SwitchStatement,
     Text,
-    name_of,
 )
-from twodof.compile.program.flat_program import FlatSignal, Node
+from twodof.compile.program.flat_program import Node
 
 
 class MachineSwitch:
     """Emitter of one machine; `states` are the lvalues of its states, `targets` those of the outputs to write, by name.
 
-    `signal` gives the C of a signal that the machine reads; the statements are added to the renderer `outer`.
+    `read` has the C of the signals that the machine reads; the statements are added to the renderer `outer`.
     """
 
     def __init__(
         self,
         scope: Scope,
+        program: ProgramGraph,
         outer: Renderer,
         node: Node,
         machine: StateMachine,
         states: Mapping[str, str],
         targets: Mapping[str, str],
-        signal: Callable[[FlatSignal], str],
+        read: Mapping[Expr, Text],
     ) -> None:
         self.scope = scope
+        self.program = program
         self.outer = outer
         self.node = node
         self.machine = machine
         self.chart, self.graph = machine.chart, machine.graph
         self.states = states
         self.targets = targets
-        self.signal = signal
+        self.read = read
         self.variables = {v.name for v in machine.variables}
 
     def write(self) -> None:
@@ -67,22 +67,17 @@ class MachineSwitch:
         for leaf in self.chart.leaves:
             with self._collecting() as body:
                 self._transitions(self.chart.routes[leaf.number])
-            cases.append(_case(leaf, body))
+            cases.append((leaf, body))
         with self._collecting() as body:
             if self.chart.leaves[0].outer is None:
                 self._set(OUTER_ELAPSED, "0u")
             self._enter(self.chart.leaves[0], self.chart.leaves[0].outer)
-        cases.append(Case("default", "the start", body))
-        self._switch(cases)
+        self._switch(cases, "default: /* the start */", body)
         self._during()
         for port in self.machine.outputs:
             if port.name in self.targets and port.name in self.states:
                 target, source = self.targets[port.name], self.states[port.name]
-                text = Text(source, reads=frozenset((name_of(source),)))
-                if port.width is None:
-                    self.outer.put(target, text)
-                else:
-                    self.outer.copy(target, text, port.width, port.kind)
+                self.outer.put(target, Text.of(source), port.kind, port.width)
 
     def _collecting(self) -> AbstractContextManager[list[Statement]]:
         return self.outer.collecting()
@@ -93,8 +88,17 @@ class MachineSwitch:
     def _line(self, text: str) -> Call:
         return Call(text, owner=self.node, reads=frozenset("s"))
 
-    def _switch(self, cases: list[Case], mode: str = MODE) -> None:
-        self._add(SwitchStatement(self.states[mode], cases, owner=self.node, reads=frozenset("s")))
+    def _switch(
+        self, cases: Sequence[tuple[Leaf, list[Statement]]], label: str, last: list[Statement], mode: str = MODE
+    ) -> None:
+        """Add a switch over `mode` with a case for each leaf, and one of all others at the `label`."""
+        rows = [(f"case {leaf.number}: /* {_path(leaf)} */", body) for leaf, body in cases]
+        made: list[Statement] = [
+            LoopStatement(head, [*body, Call("break;", owner=self.node)], owner=self.node)
+            for head, body in [*rows, (label, last)]
+        ]
+        head = f"switch ({self.states[mode]})"
+        self._add(LoopStatement(head, made, owner=self.node, reads=frozenset("s")))
 
     def _during(self) -> None:
         leaves, cases = self.chart.leaves, []
@@ -102,17 +106,13 @@ class MachineSwitch:
             with self._collecting() as body:
                 self._stay(leaf)
             if body:
-                cases.append(_case(leaf, body))
-        if not cases:
-            return
+                cases.append((leaf, body))
         if len(leaves) == 1:
-            self._add(LoopStatement("", cases[0].body, owner=self.node))
-            return
-        if len(cases) == len(leaves):
-            cases[-1].label = "default"  # so that a compiler sees that each output is given
-        else:
-            cases.append(Case("default", "", []))
-        self._switch(cases)
+            self.outer.out += [LoopStatement("", body, owner=self.node) for _, body in cases]
+        elif len(cases) == len(leaves):  # so that a compiler sees that each output is given
+            self._switch(cases[:-1], f"default: /* {_path(leaves[-1])} */", cases[-1][1])
+        elif cases:
+            self._switch(cases, "default:", [])
 
     def _stay(self, leaf: Leaf) -> None:
         """Add what `during` gives in each mode of a leaf: outputs that are wanted and stay, and variables."""
@@ -136,7 +136,7 @@ class MachineSwitch:
             if guard.op == "const":  # it is the last one
                 self._take(route)
                 break
-            test = renderer.text(self.scope.graph.of(self.node, guard))
+            test = renderer.text(self.program.of(self.node, guard))
             with self._collecting() as then:
                 self._take(route)
             branch = IfStatement(test.text, then, owner=self.node, reads=test.reads)
@@ -159,9 +159,9 @@ class MachineSwitch:
         for leaf in (*route.leaves[1:], route.leaves[0]):
             with self._collecting() as body:
                 self._enter(leaf, route.entered)
-            cases.append(_case(leaf, body))
-        cases[-1].label = "default"
-        self._switch(cases, last(route.resumes.name))
+            cases.append((leaf, body))
+        label = f"default: /* {_path(cases[-1][0])} */"
+        self._switch(cases[:-1], label, cases[-1][1], last(route.resumes.name))
 
     def _enter(self, leaf: Leaf, outer: Mode | None) -> None:
         self._set(MODE, str(leaf.number))
@@ -186,15 +186,17 @@ class MachineSwitch:
     def _renderer(self, mode: Mode) -> Renderer:
         """Return a fresh one for each action: what it names is another value once the variables have changed."""
         clock = owner_clock(mode in self.chart.outers)
-        text = self.scope.leaf(self.signal, lambda _, name: self.states[clock if name == ELAPSED else name])
-        made = self.scope.renderer(self.outer.names, Leaves(text, owner=lambda item: self.node))
+        text = self.scope.leaf(lambda _, name: self.states[clock if name == ELAPSED else name])
+        made = self.scope.renderer(self.outer.names, text, lambda item: self.node)
+        for item, value in self.read.items():
+            made.know(item, value)
         made.out = self.outer.out
         made.owner = self.node
         return made
 
     def _of(self, values: Mapping[str, Expr]) -> dict[str, Expr]:
-        return {name: self.scope.graph.of(self.node, e) for name, e in values.items()}
+        return {name: self.program.of(self.node, e) for name, e in values.items()}
 
 
-def _case(leaf: Leaf, body: list[Statement]) -> Case:
-    return Case(f"case {leaf.number}", ".".join(mode.name for mode in leaf.path), body)
+def _path(leaf: Leaf) -> str:
+    return ".".join(mode.name for mode in leaf.path)

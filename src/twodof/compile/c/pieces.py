@@ -49,19 +49,19 @@ class _Pieces:
         self.bodies: list[list[Statement]] = []
         self.main: list[Statement] = []
         self._divide(function.body, self.main)
-        self.local: dict[str, tuple[int, Assign]] = {}
+        self.local = {
+            s.target: (k, s) for k, body in enumerate(self.bodies) for s in body if isinstance(s, Assign) and s.declared
+        }
+        elsewhere = {name for s in every(self.main) for name in s.reads}
         for k, body in enumerate(self.bodies):
-            for s in body:
-                if isinstance(s, Assign) and s.declared:
-                    self.local[s.target] = k, s
+            elsewhere |= {name for name in _names(body) if name in self.local and self.local[name][0] != k}
+        stack = sorted(elsewhere & self.local.keys(), reverse=True)
         self.handed: dict[str, Assign] = {}
-        for k, body in enumerate(self.bodies):
-            for name in sorted(_names(body)):
-                if name in self.local and self.local[name][0] != k:
-                    self._hand(name)
-        for s in every(self.main):
-            for name in sorted(s.reads):
-                self._hand(name)
+        while stack:
+            name = stack.pop()
+            self.handed[name] = declaration = self.local[name][1]
+            if declaration.declared.endswith("*const"):  # with the arrays that it points to
+                stack += sorted(declaration.reads & self.local.keys() - self.handed.keys())
 
     def _divide(self, body: list[Statement], calls: list[Statement]) -> None:
         """Cut a body; a long guarded part is cut too, and stays under its condition.
@@ -92,16 +92,6 @@ class _Pieces:
                 end()
         end()
 
-    def _hand(self, name: str) -> None:
-        """Hand a variable on, and the arrays that it points to."""
-        if name in self.handed or name not in self.local:
-            return
-        declaration = self.local[name][1]
-        self.handed[name] = declaration
-        if declaration.declared.endswith("*const"):
-            for other in sorted(declaration.reads):
-                self._hand(other)
-
     def made(self) -> tuple[str, list[Function], int]:
         """Return what `in_pieces` does."""
         f = self.function
@@ -130,7 +120,7 @@ class _Pieces:
                 if isinstance(inner, Call):
                     inner.line += f"({', '.join(arguments)});"
             main.append(statement)
-        made.append(Function(f.result, f.name, f.parameters, main, f.part, f.remark))
+        made.append(Function(f.result, f.name, f.parameters, main, f.part))
         return struct, made, sum(s.size or 1 for s in self.handed.values())
 
     def _piece(self, k: int, body: list[Statement]) -> list[Statement]:

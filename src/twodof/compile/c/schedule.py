@@ -74,11 +74,7 @@ class Schedule:
         if not isinstance(node.block, StateMachine):
             return False
         given = {s for s in node.outputs.values() if s in self.live}
-        return given == set(action.signals) and self.ready(node)
-
-    def ready(self, node: Node) -> bool:
-        """Return True if all signals that a state machine reads, and those that reset it, have been computed."""
-        return all(s in self._at for s in (*switch_inputs(node), *node.starts))
+        return given == set(action.signals) and all(s in self._at for s in (*switch_inputs(node), *node.starts))
 
     def _update(self, node: Node) -> int:
         """Return the segment at whose end a block's states are replaced: nothing reads the old ones any more.
@@ -87,9 +83,7 @@ class Schedule:
         """
         if node.guard.always or node.continuous:
             return self.end
-        machine = isinstance(node.block, StateMachine)
-        used = switch_inputs(node) if machine else inputs_of(node, node.trace.update.values())
-        read = [s for s in used if s in self.live]
+        read = [s for s in inputs_of(node, node.trace.update.values()) if s in self.live]
         own = [s for s in node.outputs.values() if s in self.live]
         before: list[FlatSignal | Start] = [*read, *own, *node.starts]
         first = max((self._at[x] for x in before), default=0)
@@ -105,14 +99,11 @@ class Schedule:
                 if s in sites:
                     sites[s].add(at)
 
-        read((*program.outputs.values(), *program.edged, *_integrated(program)), self.end)
+        read((*program.outputs.values(), *program.edged, *integrated_signals(program)), self.end)
         for node in program.nodes:
             read((s for c in node.conditions for s in c.signals), self.end)
             if node not in self.machines:
-                if isinstance(node.block, StateMachine):  # whose switch reads inputs where they are kept
-                    read(switch_inputs(node), self.end)
-                else:
-                    read(inputs_of(node, node.trace.update.values()), self._updated.get(node, self.end))
+                read(inputs_of(node, node.trace.update.values()), self._updated.get(node, self.end))
         fixed: set[FlatSignal] = set()
         for k in reversed(range(self.end)):
             segment = self.segments[k]
@@ -145,7 +136,7 @@ def switch_inputs(node: Node) -> list[FlatSignal]:
     return [s for s in dict.fromkeys(node.drivers.values()) if s in read and s.node is not None]
 
 
-def _integrated(program: FlatProgram) -> Iterator[FlatSignal]:
+def integrated_signals(program: FlatProgram) -> Iterator[FlatSignal]:
     """Yield the signals that the integration reads."""
     for node in program.integrated:
         yield from inputs_of(node, (*node.trace.derivative.values(), *node.trace.project.values()))

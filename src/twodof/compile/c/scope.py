@@ -4,11 +4,21 @@ from collections.abc import Callable
 
 from twodof.blocks.declarations import Param, Port, State, column_major
 from twodof.blocks.expressions.expr import Expr
-from twodof.compile.c.expressions import Leaves, Renderer, Used
-from twodof.compile.c.graph import ProgramGraph
+from twodof.compile.c.expressions import Renderer, Used
 from twodof.compile.c.operators import ATOM, C_TYPES
-from twodof.compile.c.statements import Assign, Call, CNames, Copy, LoopStatement, Statement, Text, constant, name_of
-from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
+from twodof.compile.c.statements import (
+    Assign,
+    Call,
+    CNames,
+    LoopStatement,
+    Statement,
+    Text,
+    constant,
+    every,
+    name_of,
+    stored,
+)
+from twodof.compile.program.flat_program import FlatParameter, FlatProgram, Node
 from twodof.compile.program.layout import MemoryLayout
 
 # Names that the file of a program defines behind its prefix.
@@ -18,12 +28,10 @@ OWN = ("P", "S", "U", "Y", "X", "advance", "step", "run")
 class Scope:
     """The layout, precision and graph of one program."""
 
-    def __init__(self, program: FlatProgram, layout: MemoryLayout, precision: str, lean: bool) -> None:
+    def __init__(self, program: FlatProgram, layout: MemoryLayout, precision: str) -> None:
         self.program = program
         self.layout = layout
         self.precision = precision
-        self.lean = lean
-        self.graph = ProgramGraph(program)
         self.used = Used()
 
     def names(self, *arguments: str) -> CNames:
@@ -34,26 +42,23 @@ class Scope:
         """Return the C literal of a value of the type `kind` in the program's precision."""
         return constant(value, kind, self.precision).text
 
-    def renderer(self, names: CNames, leaves: Leaves) -> Renderer:
+    def renderer(self, names: CNames, leaf: Callable[[Expr], Text], block: Callable[[Expr], Node | None]) -> Renderer:
         """Return a renderer, which writes expressions into one function with the identifiers `names`."""
-        return Renderer(names, self.precision, self.lean, self.used, leaves)
+        return Renderer(names, self.precision, self.used, leaf, block)
 
-    def leaf(self, signal: Callable[[FlatSignal], str], state: Callable[[Node, str], str]) -> Callable[[Expr], Text]:
-        """Return the function from a leaf to its C, given those from a signal and from a state to theirs.
+    def leaf(self, state: Callable[[Node, str], str]) -> Callable[[Expr], Text]:
+        """Return the function from a leaf to its C, given that from a state to its lvalue.
 
         The text of a state counts its whole lvalue, not only the variable, among the names that it reads.
         """
 
         def text(item: Expr) -> Text:
-            found = "s->tick"
-            if item.op == "input":
-                found = signal(item.data)
-            elif item.op == "state":
+            if item.op == "state":
                 found = state(*item.data)
                 return Text(found, ATOM, frozenset((name_of(found), found)))
-            elif item.op == "param":
-                found = self.parameter(item.data)
-            return Text(found, ATOM, frozenset((name_of(found),)))
+            if item.op == "param":
+                return Text.of(self.parameter(item.data))
+            return Text.of("s->tick" if item.op == "tick" else f"u->{self.layout.inputs[item.data].name}")
 
         return text
 
@@ -80,10 +85,7 @@ class Scope:
             target = self.state(node, state.name)
             if isinstance(state.initial, str):
                 source, reads = self.given(node, state.initial), frozenset(("p",))
-                if state.width is None:
-                    made.append(Assign(target, source, owner=node, reads=reads))
-                else:
-                    made.append(Copy(target, source, state.width, C_TYPES[state.kind], owner=node, reads=reads))
+                made.append(stored(target, source, state.kind, state.width, node, reads))
             else:
                 made += self.fill(target, state.initial, state, node, zeroed)
         return made
@@ -102,24 +104,22 @@ class Scope:
         There are none if the memory is zero already (`zeroed`) and the value is zero too.
         """
         kind, width = declared.kind, declared.width
-        if width is None:
-            text = self.constant(value, kind)
-            return [] if zeroed and text in ZEROS else [Assign(target, text, owner=owner, role=role)]
         flat = column_major(value, declared.shape, declared.name) if declared.shape else value
         values = list(flat) if isinstance(flat, (list, tuple)) else [flat]
         texts = [self.constant(v, kind) for v in values]
-        if len(set(texts)) == 1:
-            if zeroed and texts[0] in ZEROS:
-                return []
-            body: list[Statement] = [Assign(f"{target}[i]", texts[0], owner=owner, role=role)]
-            return [LoopStatement(f"for (int32_t i = 0; i < {width}; i++)", body, owner=owner, role=role)]
-        table = f"static const {C_TYPES[kind]} initial[{width}] = {{{', '.join(texts)}}};"
-        copy = f"(void)memcpy({target}, initial, sizeof initial);"
-        return [
-            LoopStatement(
-                "", [Call(table, owner=owner, role=role), Call(copy, owner=owner, role=role)], owner=owner, role=role
-            )
-        ]
+        made: list[Statement]
+        if zeroed and set(texts) <= ZEROS and len(set(texts)) == 1:
+            return []
+        if width is None:
+            made = [Assign(target, texts[0])]
+        elif len(set(texts)) == 1:
+            made = [LoopStatement(f"for (int32_t i = 0; i < {width}; i++)", [Assign(f"{target}[i]", texts[0])])]
+        else:
+            table = f"static const {C_TYPES[kind]} initial[{width}] = {{{', '.join(texts)}}};"
+            made = [LoopStatement("", [Call(table), Call(f"(void)memcpy({target}, initial, sizeof initial);")])]
+        for statement in every(made):
+            statement.owner, statement.role = owner, role
+        return made
 
 
-ZEROS = ("0.0", "0.0f", "0", "0u", "false")
+ZEROS = {"0.0", "0.0f", "0", "0u", "false"}

@@ -14,7 +14,7 @@ import numpy as np
 from twodof.blocks.elementary.functions import ARGUMENTS
 from twodof.blocks.expressions.numbers import INTEGERS, Integer, dtype_of
 from twodof.compile.c.helpers import NAMES as HELPER_NAMES
-from twodof.compile.c.operators import ATOM, SIGNED
+from twodof.compile.c.operators import ATOM, C_TYPES, SIGNED
 from twodof.compile.program.flat_program import Node
 
 Names = frozenset[str]
@@ -27,6 +27,11 @@ class Text(NamedTuple):
     text: str
     binding: int = ATOM
     reads: Names = NOTHING
+
+    @staticmethod
+    def of(lvalue: str) -> Text:
+        """Return the text of an lvalue that begins with a variable."""
+        return Text(lvalue, ATOM, frozenset((name_of(lvalue),)))
 
 
 def constant(value: Any, kind: str, precision: str) -> Text:
@@ -90,6 +95,16 @@ class Statement:
         """Lists of the statements inside."""
         return ()
 
+    @property
+    def parts(self) -> Sequence[tuple[str, list[Statement]]]:
+        """Lists of the statements inside as they are printed, each with the line before it."""
+        return ()
+
+    @property
+    def last(self) -> str:
+        """The line after a statement with others inside."""
+        return "}"
+
     def text(self) -> str:
         """Return the line of C of a statement without others inside."""
         raise NotImplementedError
@@ -125,6 +140,15 @@ class Copy(Statement):
         return f"(void)memcpy({self.target}, {self.source}, sizeof({self.type}) * {self.width}u);"
 
 
+def stored(
+    target: str, value: str, kind: str, width: int | None, owner: Node | None, reads: Names, role: str = ""
+) -> Statement:
+    """Return the statement that stores a number in an lvalue, or copies an array of `width` elements of `kind`."""
+    if width is None:
+        return Assign(target, value, owner=owner, reads=reads, role=role)
+    return Copy(target, value, width, C_TYPES[kind], owner=owner, reads=reads, role=role)
+
+
 @dataclass(eq=False)
 class Call(Statement):
     """A call, or another line of C with an effect."""
@@ -149,10 +173,19 @@ class IfStatement(Statement):
         """Statements of both sides."""
         return self.then, self.otherwise
 
+    @property
+    def parts(self) -> Sequence[tuple[str, list[Statement]]]:
+        """Both sides; another `if` alone on the second side continues the first."""
+        found, rest = [(f"if ({self.test}) {{", self.then)], self.otherwise
+        while len(rest) == 1 and isinstance(inner := rest[0], IfStatement):
+            found.append((f"}} else if ({inner.test}) {{", inner.then))
+            rest = inner.otherwise
+        return [*found, ("} else {", rest)] if rest else found
+
 
 @dataclass(eq=False)
 class LoopStatement(Statement):
-    """A block `{...}` after a head such as `for (...)`, "" for none, and before an end such as `while (...);`."""
+    """A block `{...}` after a head such as `for (...)` or `case 1:`, "" for none, before an end as `while (...);`."""
 
     head: str
     body: list[Statement]
@@ -163,27 +196,15 @@ class LoopStatement(Statement):
         """Statements of the body."""
         return (self.body,)
 
-
-@dataclass(eq=False)
-class Case:
-    """A case of a switch: its label, and a comment that names it."""
-
-    label: str
-    comment: str
-    body: list[Statement]
-
-
-@dataclass(eq=False)
-class SwitchStatement(Statement):
-    """`switch (value) {...}`."""
-
-    value: str
-    cases: list[Case]
+    @property
+    def parts(self) -> Sequence[tuple[str, list[Statement]]]:
+        """The body and its head."""
+        return ((f"{self.head} {{".lstrip(), self.body),)
 
     @property
-    def bodies(self) -> Sequence[list[Statement]]:
-        """Statements of each case."""
-        return [case.body for case in self.cases]
+    def last(self) -> str:
+        """The closing bracket and the end."""
+        return f"}} {self.end}".rstrip()
 
 
 def every(statements: Iterable[Statement]) -> Iterator[Statement]:

@@ -5,16 +5,14 @@ from functools import partial
 
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Rate
-from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.state_machine import StateMachine
 from twodof.compile.c.commit import StateChange, changed, commit
-from twodof.compile.c.expressions import Leaves
-from twodof.compile.c.graph import leaf
+from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.machine_switch import MachineSwitch
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.schedule import Schedule, Segment, switch_inputs
 from twodof.compile.c.scope import Scope
-from twodof.compile.c.statements import Assign, CNames, Copy, IfStatement, Statement, Text, name_of
+from twodof.compile.c.statements import Assign, CNames, IfStatement, Statement, Text, stored
 from twodof.compile.program.flat_program import Action, FlatSignal, Guard, Node
 
 TICKS = 2**32  # a tick is a uint32
@@ -31,42 +29,29 @@ class StepEmitter:
         self.scope = scope
         self.layout = scope.layout
         self.program = scope.program
-        self.graph = scope.graph
         self.schedule = Schedule(scope.program, scope.layout)
+        apart = (*self.layout.stored, *(s for node in self.schedule.machines for s in node.outputs.values()))
+        always = {s for g in self.program.tick if g.guard.always for a in g.actions for s in a.signals}
+        self.graph = ProgramGraph(scope.program, {s for s in always.difference(apart) if s.width is None})
         self.fractions: dict[FlatSignal, tuple[str, str]] = {}
-        self._variables: dict[FlatSignal, str] = {}  # that are declared before the statements that compute them
-        self._pending = set(self.schedule.live)
-        self._shown: dict[Expr, Expr] = {}
-        for s in self.schedule.live:
-            if s.width is None and s not in self.layout.stored and s.node not in self.schedule.machines:
-                self._shown.setdefault(self.graph.output(s), leaf(s))
+        # Lvalues of signals that are read outside of the brackets in which they are computed.
+        self.places = {s: f"s->{member.name}" for s, member in self.layout.stored.items()}
         self._due: dict[Rate, str] = {}
         self._asked: set[Rate] = set()
-        text = scope.leaf(self.signal, scope.state)
-        leaves = Leaves(text, self._driver, self._place, self._shown.get, self.graph.owner)
-        self.renderer = scope.renderer(names, leaves)
+        self.renderer = scope.renderer(names, scope.leaf(scope.state), self.graph.owner)
         for rate in (n.rate for n in self.program.nodes):
             if rate.divider > 1 and rate not in self._due:
                 self._due[rate] = names.new(f"due_{rate.divider}_{rate.offset}")
 
-    def signal(self, signal: FlatSignal) -> str:
-        """Return the C of a signal that has been computed, or is an input."""
-        if signal.node is None:
-            return f"u->{self.layout.inputs[signal].name}"
-        if signal in self.layout.stored:
-            return f"s->{self.layout.stored[signal].name}"
-        if signal in self._variables:
-            return self._variables[signal]
-        return self.renderer.named[id(leaf(signal))].text
+    def signal(self, signal: FlatSignal) -> Text:
+        """Return the C of a signal."""
+        return self.renderer.text(self.graph.signal(signal))
 
-    def _driver(self, item: Expr) -> Expr | None:
-        signal: FlatSignal = item.data
-        return self.graph.output(signal) if signal in self._pending else None
-
-    def _place(self, signal: FlatSignal) -> str:
-        if signal in self.layout.stored:
-            return f"s->{self.layout.stored[signal].name}"
-        return self._variables.get(signal, "")
+    def _stands(self, signals: Iterable[FlatSignal]) -> None:
+        """Read signals where they are stored from here on."""
+        for s in signals:
+            if s in self.places:
+                self.renderer.know(self.graph.signal(s), Text.of(self.places[s]))
 
     def due(self) -> list[Statement]:
         """Return the declarations of the flags that tell which rates are due, for the rates in use."""
@@ -80,16 +65,12 @@ class StepEmitter:
 
     def tests(self, guard: Guard) -> list[Text]:
         """Return the conditions that must all hold for the blocks of a guard to act."""
-        return [*self._rate(guard), *(self._text(e) for e in guard.enables)]
+        return [*self._rate(guard), *map(self.signal, guard.enables)]
 
     def _rate(self, guard: Guard) -> list[Text]:
         self._asked.add(guard.rate)
         due = self._due.get(guard.rate)
-        return [] if due is None else [Text(due, reads=frozenset((due,)))]
-
-    def _text(self, signal: FlatSignal) -> Text:
-        text = self.signal(signal)
-        return Text(text, reads=frozenset((name_of(text),)))
+        return [] if due is None else [Text.of(due)]
 
     def guarded(self, tests: Sequence[Text], body: list[Statement]) -> None:
         """Add the statements `body`, in an `if` on all of `tests` unless these are empty."""
@@ -117,8 +98,9 @@ class StepEmitter:
                 for segment in segments:
                     self._segment(segment)
             self.guarded(self.tests(guard), body)
+            self._stands(signals)
             if guard.clears:
-                enabled = all_of([self._text(e) for e in guard.clears])
+                enabled = all_of([self.signal(e) for e in guard.clears])
                 disabled = Text(f"!({enabled.text})", reads=enabled.reads)
                 held = [s for s in signals if s in self.layout.stored]
                 self.guarded([*self._rate(guard), disabled], self._cleared(held))
@@ -127,11 +109,8 @@ class StepEmitter:
         return [*segment.actions, *([segment.behind] if segment.behind is not None else [])]
 
     def _variable(self, s: FlatSignal) -> None:
-        """Declare a variable that is computed under a condition and read behind it, unless it is computed already."""
-        if (known := self.renderer.named.get(id(leaf(s)))) is not None:
-            self._variables[s] = known.text
-            return
-        name = self._variables[s] = self.renderer.names.new(s.path)
+        """Declare a variable that is computed under a condition and read behind it."""
+        name = self.places[s] = self.renderer.names.new(s.path)
         value = self.scope.constant(0, s.kind)
         self.renderer.out.append(Assign(name, value, C_TYPES[s.kind], owner=s.node))
 
@@ -146,29 +125,31 @@ class StepEmitter:
         made: list[Statement] = []
         for s in signals:
             port = Port("y", s.kind, s.width, shape=s.shape)
-            made += self.scope.fill(self.signal(s), s.cleared, port, None, role="disabled outputs")
+            made += self.scope.fill(self.places[s], s.cleared, port, None, role="disabled outputs")
         return made
 
     def _segment(self, segment: Segment) -> None:
         """Add the outputs of a segment, then what stands behind them."""
         fixed = [s for a in segment.actions for s in a.signals if s in self.schedule.fixed]
-        roots = [leaf(s) for s in fixed]
+        roots = [self.graph.signal(s) for s in fixed]
+        for root in roots:
+            if root.data in self.places:
+                self.renderer.placed[id(root)] = self.places[root.data]
+                if root.args[0].op in ("vector", "build", "store"):
+                    self.renderer.targets.setdefault(id(root.args[0]), self.places[root.data])
         # What outputs and next states share is computed once, in one branch.
         updated = segment.updates
         if segment is self.schedule.segments[-1] and segment.guard.always:
             updated = [node for node in self.schedule.last if node.guard.always]
-        roots += [
-            e for node in updated if not self._idle_machine(node) for row in self._changes(node) for e in row.numbers
-        ]
+        roots += [e for node in updated for row in self._changes(node) for e in row.roots]
         behind = segment.behind
         if behind is not None and behind.start is None:
-            roots += [leaf(s) for s in switch_inputs(behind.node) if s in self._pending]
+            roots += [self.graph.signal(s) for s in switch_inputs(behind.node)]
         self.renderer.texts(roots)
         for s in fixed:
             if s in self.fractions:
                 self._set_edge(s)
         self._updates(segment.updates)
-        self._pending.difference_update(fixed)
         if behind is not None:
             self._behind(segment, behind.node)
 
@@ -191,24 +172,24 @@ class StepEmitter:
         if behind.start is None:
             self._switch(node, behind.signals)
             return
-        signals = [self.signal(r) for r in behind.start.signals]
-        reads = frozenset(map(name_of, signals))
-        self.renderer.out.append(IfStatement(" || ".join(signals), self.scope.initial(node), owner=node, reads=reads))
+        test = all_of([self.signal(r) for r in behind.start.signals], " || ")
+        self.renderer.out.append(IfStatement(test.text, self.scope.initial(node), owner=node, reads=test.reads))
 
     def _switch(self, node: Node, signals: Sequence[FlatSignal]) -> None:
         """Add a state machine as C that reads like its drawing."""
         machine = node.block
         assert isinstance(machine, StateMachine)
-        renderer, targets = self.renderer, {}
+        renderer = self.renderer
+        read = {self.graph.signal(s): self.signal(s) for s in switch_inputs(node)}
         outer, renderer.owner = renderer.owner, node
         for signal in signals:
-            if not self._place(signal):
-                name = self._variables[signal] = renderer.names.new(signal.path)
-                renderer.declare(name, signal.kind, width=signal.width)
-            targets[signal.port] = self.signal(signal)
+            if signal not in self.places:
+                self.places[signal] = renderer.names.new(signal.path)
+                renderer.declare(self.places[signal], signal.kind, width=signal.width)
         states = {s.name: self.scope.state(node, s.name) for s in machine.states}
-        MachineSwitch(self.scope, renderer, node, machine, states, targets, self.signal).write()
-        self._pending.difference_update(signals)
+        targets = {s.port: self.places[s] for s in signals}
+        MachineSwitch(self.scope, self.graph, renderer, node, machine, states, targets, read).write()
+        self._stands(signals)
         renderer.owner = outer
 
     def updates(self) -> None:
@@ -222,18 +203,7 @@ class StepEmitter:
             self.guarded(self.tests(guard), body)
 
     def _updates(self, nodes: Sequence[Node]) -> None:
-        rows: list[StateChange] = []
-        for node in nodes:
-            if self._idle_machine(node):
-                self._switch(node, ())
-            else:
-                rows += self._changes(node)
-        commit(self.renderer, rows)
-
-    def _idle_machine(self, node: Node) -> bool:
-        """Return True if a node is a state machine whose outputs nobody reads, and whose inputs are at hand."""
-        used = any(s in self.schedule.live for s in node.outputs.values())
-        return isinstance(node.block, StateMachine) and not used and self.schedule.ready(node)
+        commit(self.renderer, [row for node in nodes for row in self._changes(node)])
 
     def _changes(self, node: Node) -> list[StateChange]:
         values = {name: self.graph.of(node, e) for name, e in node.trace.update.items()}
@@ -243,14 +213,10 @@ class StepEmitter:
         """Add the stores of outputs and logged signals in Y."""
         for path, signal in self.program.outputs.items():
             target, text = f"y->{self.layout.outputs[path].name}", self.signal(signal)
-            reads = frozenset((name_of(text),))
-            if signal.width is None:
-                self.renderer.out.append(Assign(target, text, role="returned signals", reads=reads))
-            else:
-                kind = C_TYPES[signal.kind]
-                self.renderer.out.append(Copy(target, text, signal.width, kind, role="returned signals", reads=reads))
+            role = "returned signals"
+            self.renderer.out.append(stored(target, text.text, signal.kind, signal.width, None, text.reads, role))
 
 
-def all_of(tests: Sequence[Text]) -> Text:
-    """Return the condition that all of `tests` hold."""
-    return Text(" && ".join(t.text for t in tests), reads=frozenset[str]().union(*(t.reads for t in tests)))
+def all_of(tests: Sequence[Text], sign: str = " && ") -> Text:
+    """Return the condition that all of `tests` hold, or that they do with another operator between them."""
+    return Text(sign.join(t.text for t in tests), reads=frozenset[str]().union(*(t.reads for t in tests)))

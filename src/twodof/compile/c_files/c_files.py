@@ -99,13 +99,7 @@ def header(program: FlatProgram, layout: MemoryLayout, precision: str, tables: b
     it declares `run`, the tables of parameters and signals, and the sizes as well.
     """
     name, single = program.name, precision == "float32"
-    interface = CInterface(
-        program,
-        layout,
-        run=tables,
-        tables=tables,
-        types={**C_TYPES, "real": "float" if single else "double"},
-    )
+    interface = CInterface(program, layout, tables, {**C_TYPES, "real": "float" if single else "double"})
     return f"""/* {name}{f": {comment(program.text)}" if program.text else ""}
 
    One step is {program.dt:.9g} s; numbers are {precision}. twodof made this file and {name}.c of a diagram.

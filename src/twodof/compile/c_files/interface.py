@@ -14,21 +14,19 @@ WIDEST = 120
 class CInterface:
     """Declarations of one program's C.
 
-    `types` are the C types by type of the language. With `run` the function `run` and the sizes are declared too, with
-    `tables` the tables of parameters and signals.
+    `types` are the C types by type of the language. With `tables` the tables of parameters and signals, the sizes and
+    the function `run` are declared too.
     """
 
     def __init__(
         self,
         program: FlatProgram,
         layout: MemoryLayout,
-        run: bool,
         tables: bool,
         types: Mapping[str, str] = C_TYPES,
     ) -> None:
         self.program = program
         self.layout = layout
-        self.run = run
         self.tables = tables
         self.types = types
 
@@ -49,7 +47,8 @@ class CInterface:
         self._struct(listing, "U", "inputs", layout.u.members)
         self._struct(listing, "Y", "outputs and logged signals", layout.y.members)
         listing.add(self._prototypes())
-        listing.add((self._tables() if self.tables else "") + (self._sizes() if self.run else ""))
+        if self.tables:
+            listing.add(self._tables())
 
     def _enumerations(self) -> str:
         """Return the members of enumerations as constants, for programs around this one."""
@@ -93,7 +92,7 @@ class CInterface:
                 f"{own}, const {p}_U *u, {p}_Y *y",
             ),
         ]
-        if self.run:
+        if self.tables:
             remark = "n steps; a stride of 0 reads the same inputs, or writes the same outputs, at each."
             rows.append((remark, "run", f"{own}, const {p}_U *u, size_t u_stride, {p}_Y *y, size_t y_stride, size_t n"))
         lines = (f"/* {remark} */\n{_prototype(f'void {p}_{name}', taken)}" for remark, name, taken in rows)
@@ -118,11 +117,10 @@ typedef struct {{
 extern const {p}_Entry {p}_parameters[];
 extern const {p}_Entry {p}_signals[];
 
-"""
+/* Sizes of real, P, S, U, Y: whoever loads this must agree. */
+extern const size_t {p}_sizes[5];
 
-    def _sizes(self) -> str:
-        sizes = f"extern const size_t {self.program.name}_sizes[5];\n\n"
-        return f"/* Sizes of real, P, S, U, Y: whoever loads this must agree. */\n{sizes}"
+"""
 
 
 def _remark(m: Member) -> str:

@@ -66,10 +66,7 @@ class FlatDiagram:
         self.buses: dict[tuple[str, str], dict[str, FlatSignal]] = {}  # by path of the diagram and source in it
         self.levels: list[Level] = []
         self.root = Level(diagram, diagram.name, "")
-        self.root.root_inputs = {
-            p.name: FlatSignal(p.name, p.name, p.kind, p.width, p.unit, shape=p.shape, enum=p.enum)
-            for p in diagram.inputs.values()
-        }
+        self.root.root_inputs = {p.name: _signal(p.name, p) for p in diagram.inputs.values()}
         stack: list[tuple[Level, Rate, tuple[Condition, ...], dict[str, FlatParameter], int]] = [
             (self.root, BASE, (), {}, 0)
         ]
@@ -134,12 +131,7 @@ class FlatDiagram:
         return self._with_outputs(node)
 
     def _with_outputs(self, node: Node) -> Node:
-        node.outputs = {
-            o.name: FlatSignal(
-                f"{node.path}.{o.name}", o.name, o.kind, o.width, o.unit, node, shape=o.shape, enum=o.enum
-            )
-            for o in node.block.outputs
-        }
+        node.outputs = {o.name: _signal(f"{node.path}.{o.name}", o, node) for o in node.block.outputs}
         self.nodes.append(node)
         self.signals |= {s.path: s for s in node.outputs.values()}
         return node
@@ -250,7 +242,7 @@ class FlatDiagram:
             if clash is not None:
                 raise DiagramError(clash[0], where, clash[1])
             return signal
-        stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit, shape=port.shape, enum=port.enum)
+        stand_in = _signal(where, port)
         self.unknown.add(stand_in)
         return stand_in
 
@@ -307,6 +299,10 @@ class FlatDiagram:
         """Return True if the signals below `path` are the fields of one bus, and not the signals of a part."""
         parts = {node.path for node in self.nodes} | {level.path for level in self.levels}
         return path not in parts
+
+
+def _signal(path: str, port: Port, node: Node | None = None) -> FlatSignal:
+    return FlatSignal(path, port.name, port.kind, port.width, port.unit, node, shape=port.shape, enum=port.enum)
 
 
 def node_of(signal: FlatSignal) -> Node:

@@ -29,6 +29,9 @@
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off", "no-tree-pre") /* no-tree-pre: fewer registers spilled */
 #endif
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wfloat-equal" /* == is meant: it asks for the same number */
+#endif
 /* In place, and stage by stage, so that states stay in registers; but not where size counts. */
 #if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
 #define td_inline static inline __attribute__((always_inline))
@@ -136,7 +139,7 @@ void twodof_pitch_step(const twodof_pitch_P *restrict p, twodof_pitch_S *restric
     y->damper_count = damper_count;
     /* damper: Damper */
     s->damper_sum = damper_t2;
-    s->damper_count = int32_add(damper_count, 1);
+    s->damper_count = int32_add(s->damper_count, 1);
     /* the next tick */
     s->tick += 1u;
 }

@@ -29,6 +29,9 @@
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off", "no-tree-pre") /* no-tree-pre: fewer registers spilled */
 #endif
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wfloat-equal" /* == is meant: it asks for the same number */
+#endif
 /* In place, and stage by stage, so that states stay in registers; but not where size counts. */
 #if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
 #define td_inline static inline __attribute__((always_inline))
