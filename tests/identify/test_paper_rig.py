@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.identify.signals import DT
-from twodof.identify import Estimate, Record, SimplePitch, fit, identify_pitch
+from twodof.identify import Estimate, Record, fit, identify_pitch
 from twodof.models import pitch_rate, rail
 from twodof.models.plant import thrust_curve
 from twodof.rig.parameters import paper
@@ -54,22 +54,17 @@ def pitch_records() -> tuple[Record, list[Record]]:
 
 
 @pytest.fixture(scope="module")
-def by_hand(pitch_records: tuple[Record, list[Record]]) -> SimplePitch:
-    return identify_pitch(*pitch_records)
-
-
-@pytest.fixture(scope="module")
 def greybox(pitch_records: tuple[Record, list[Record]]) -> Estimate:
     impulse, doublets = pitch_records
     return fit(pitch_rate(), [impulse, doublets[0]], separate=["mu"], validation=doublets[1:])
 
 
-def test_simple_method_on_the_pitch_rate(by_hand: SimplePitch) -> None:
-    assert by_hand.model.w_n == pytest.approx(3.437, rel=0.02)
-    assert by_hand.model.xi == pytest.approx(0.0836, rel=0.15)
-    assert by_hand.model.mu == pytest.approx(358.5, rel=0.07)
-    assert by_hand.model.tau == pytest.approx(TRUE_PITCH["tau"], abs=DT)
-    assert min(value for _, value in by_hand.validation) > 90.0
+def test_simple_method_on_the_pitch_rate(pitch_records: tuple[Record, list[Record]]) -> None:
+    found = identify_pitch(*pitch_records)
+    figures = (found.model.w_n, found.model.xi, found.model.mu)
+    assert figures == (pytest.approx(3.437, rel=0.02), pytest.approx(0.0836, rel=0.15), pytest.approx(358.5, rel=0.07))
+    assert found.model.tau == pytest.approx(TRUE_PITCH["tau"], abs=DT)
+    assert min(value for _, value in found.validation) > 90.0
 
 
 @pytest.mark.long

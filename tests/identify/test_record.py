@@ -65,8 +65,12 @@ def test_slow_inputs_are_held_and_smooth_ones_interpolated() -> None:
         {"u": (T, T), "slow": (slow, slow), "y": (T, T)}, ["u", "slow"], ["y"], start=0.1, stop=0.3
     )
     assert np.allclose(record.inputs["slow"], np.floor((record.time + 1e-9) / 0.02) * 0.02, atol=1e-12)
-    smooth = Record.from_channels({"u": (T, T), "y": (T, T)}, ["u"], ["y"], smooth=["u"], start=0.1, stop=0.3)
-    assert np.allclose(smooth.inputs["u"], smooth.time + 0.002, atol=1e-12)
+    table = {"u": T, "theta": T**2, "y": T}
+    smooth = Record.from_columns(T, table, ["u", "theta"], ["y"], smooth=["theta"])
+    assert np.allclose(smooth.inputs["theta"], np.interp(T + 0.002, T, T**2), atol=1e-12)
+    assert (smooth.inputs["u"] == T).all()
+    with pytest.raises(IdentificationError, match="'v' is named in `smooth`, but it is not an input"):
+        Record.from_columns(T, table, ["u"], ["y"], smooth=["v"])
 
 
 def test_outputs_keep_their_own_stamps() -> None:
@@ -120,12 +124,3 @@ def test_a_step_is_above_zero(dt: float) -> None:
 def test_a_window_before_an_input_is_refused() -> None:
     with pytest.raises(IdentificationError, match="channel 'late': no sample at or before"):
         Record.from_channels({"u": (T, T), "late": (T + 0.1, T), "y": (T, T)}, ["u", "late"], ["y"])
-
-
-def test_a_table_may_have_smooth_inputs_too() -> None:
-    record = Record.from_columns(T, {"u": T, "theta": T**2, "y": T}, ["u", "theta"], ["y"], smooth=["theta"])
-    halfway = np.interp(T + 0.002, T, T**2)
-    np.testing.assert_allclose(record.inputs["theta"], halfway, atol=1e-12)
-    assert (record.inputs["u"] == T).all()
-    with pytest.raises(IdentificationError, match="'v' is named in `smooth`, but it is not an input"):
-        Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"], smooth=["v"])

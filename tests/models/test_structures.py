@@ -48,51 +48,44 @@ def noise(steps: int, seed: int = 0) -> Array:
     return 0.03 * np.sign(np.random.default_rng(seed).standard_normal(steps // 5)).repeat(5)
 
 
-@pytest.mark.parametrize("tau", [0.0, 0.0011, 0.004, 0.0187, 0.020])
-def test_pitch_rate_is_the_exact_hold(tau: float) -> None:
-    u = noise(200)
-    ours = run(pitch_rate(), {"tau": tau, "theta_0": 0.1, "q_0": -0.2}, u)
-    theirs = PitchRate(3.437, 0.0836, 358.5, tau).state_space().zero_order_hold(DT)
-    expected = theirs.simulate(u, x0=[0.1, -0.2], before=u[0])
-    # Rounding only: some hundred steps.
-    np.testing.assert_allclose(ours["theta"], expected[:, 0], rtol=0, atol=1e-13)
-    np.testing.assert_allclose(ours["q"], expected[:, 1], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("xi", [-0.2, 0.0, 1.0, 3.0])
-def test_pitch_rate_has_no_special_damping(xi: float) -> None:
-    u = noise(100)
-    ours = run(pitch_rate(), {"xi": xi}, u)["q"]
-    expected = PitchRate(3.437, xi, 358.5, 0.015).state_space().zero_order_hold(DT).simulate(u, before=u[0])[:, 1]
-    np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-12)
-
-
-def test_velocity_is_the_exact_hold() -> None:
-    u = 5.0 * noise(200)
-    ours = run(velocity(), {"v_0": 0.05, "x_0": -0.1}, u)
-    expected = Velocity(4.748, 1.168).state_space().zero_order_hold(DT).simulate(u, x0=[-0.1, 0.05])
-    np.testing.assert_allclose(ours["x"], expected[:, 0], rtol=0, atol=1e-13)
-    np.testing.assert_allclose(ours["v"], expected[:, 1], rtol=0, atol=1e-13)
-
-
-def test_longitudinal_is_the_exact_hold_with_feed_through() -> None:
-    u = noise(100)
-    ours = run(longitudinal(), {"tau": 0.0187}, u)
-    expected = Longitudinal(tau=0.0187).state_space().zero_order_hold(DT).simulate(u, before=u[0])
-    for i, name in enumerate(("u", "q", "theta", "a_x")):
-        np.testing.assert_allclose(ours[name], expected[:, i], rtol=0, atol=1e-12)
-
-
-def test_both_at_once_are_the_cascade() -> None:
-    u = noise(150)
-    ours = run(pitch_and_velocity(), {"tau": 0.0187}, u)
-    p, v = PitchRate(3.437, 0.0836, 358.5, 0.0187).state_space(), Velocity(4.748, 1.168).state_space()
+def cascade(tau: float) -> DelayedStateSpace:
+    """The pitch, and behind it the cart."""
+    p, v = PitchRate(3.437, 0.0836, 358.5, tau).state_space(), Velocity(4.748, 1.168).state_space()
     a = np.zeros((4, 4))
     a[:2, :2], a[2:, 2:], a[3, 0] = p.a, v.a, -4.748
-    cascade = DelayedStateSpace(a, np.vstack([p.b, np.zeros((2, 1))]), np.eye(4), np.zeros((4, 1)), 0.0187)
-    expected = cascade.zero_order_hold(DT).simulate(u, before=u[0])
-    for i, name in enumerate(("theta", "q", "x", "v")):
-        np.testing.assert_allclose(ours[name], expected[:, i], rtol=0, atol=1e-12)
+    return DelayedStateSpace(a, np.vstack([p.b, np.zeros((2, 1))]), np.eye(4), np.zeros((4, 1)), tau)
+
+
+@pytest.mark.parametrize(
+    ("structure", "plant", "values"),
+    [
+        *(
+            (
+                pitch_rate(),
+                PitchRate(3.437, 0.0836, 358.5, tau).state_space(),
+                {"tau": tau, "theta_0": 0.1, "q_0": -0.2},
+            )
+            for tau in (0.0, 0.0011, 0.004, 0.0187, 0.020)
+        ),
+        # No damping is special.
+        *((pitch_rate(), PitchRate(3.437, xi, 358.5, 0.015).state_space(), {"xi": xi}) for xi in (-0.2, 0.0, 1.0, 3.0)),
+        (velocity(), Velocity(4.748, 1.168).state_space(), {"v_0": 0.05, "x_0": -0.1}),
+        (longitudinal(), Longitudinal(tau=0.0187).state_space(), {"tau": 0.0187}),
+        (pitch_and_velocity(), cascade(0.0187), {"tau": 0.0187}),
+    ],
+    ids=lambda one: getattr(one, "name", ""),
+)
+def test_linear_structures_are_the_exact_hold(
+    structure: Structure, plant: DelayedStateSpace, values: dict[str, float]
+) -> None:
+    u, names = noise(200), {"velocity": ("x", "v"), "longitudinal": ("u", "q", "theta", "a_x")}
+    ours = run(structure, values, u)
+    order = names.get(structure.name, ("theta", "q", "x", "v"))
+    start = [values.get(f"{name}_0", 0.0) for name in order[: len(plant.a)]]
+    expected = plant.zero_order_hold(DT).simulate(u, x0=start, before=u[0])
+    for name, column in zip(order, expected.T, strict=False):
+        # Rounding only: some hundred steps.
+        np.testing.assert_allclose(ours[name], column, rtol=0, atol=1e-12)
 
 
 def test_lag_and_delay_share_the_total() -> None:

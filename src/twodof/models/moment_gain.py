@@ -52,7 +52,7 @@ class PitchRegressors(Block):
             *(State(f"{name}_{part}") for name in _FILTERS for part in ("s1", "s2")),
             State("rotor"),
             State("steps", 0, "int32"),
-            *past_states(ring),
+            *past_states(ring, "M"),
         )
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class PitchRegressors(Block):
 
     def _moment(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
         """Return M behind delay and lag, and the next state of the lag."""
-        ago = past_input(u.M, x, p.fits, self.ring)
+        ago = past_input(u, x, "M", p.fits, self.ring)
         moment = (1.0 - p.fraction) * ago(p.whole) + p.fraction * ago(p.whole + 1)
         step = p.share * (moment - x.rotor)
         return x.rotor + step, x.rotor + 2.0 * step
@@ -109,7 +109,7 @@ class PitchRegressors(Block):
         for name, (high, band, low) in self._parts(u, x, p).items():
             found[f"{name}_s1"] = p.warped * high + band
             found[f"{name}_s2"] = p.warped * band + low
-        return {**found, **remember(u.M, x, self.ring)}
+        return {**found, **remember(u, x, self.ring, "M")}
 
 
 def moment_gain(

@@ -6,7 +6,6 @@ section 4.2 (models in continuous time); names as in MATLAB's `idproc`: P1D, P2D
 
 import math
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,11 +29,10 @@ _LAGS, _DEAD, _JUMPS, _DEAD_SHARE = 20, 12, 200, 0.3
 class ProcessPlant(ZohPlant):
     """The plant of a process model: one lag after the other, then the integrator, all driven by a held input."""
 
-    plant_delay = "Td"
-
     def __init__(self, lags: int, letters: str, input: str, output: str, ring: int = RING) -> None:
         self.lags, self.letters = lags, letters
-        self.plant_input, self.plant_outputs = Port(input), ((output, ""),)
+        self.plant_inputs, self.plant_delays = (Port(input),), {input: "Td"}
+        self.plant_outputs = ((output, ""),)
         chain = [f"x{i + 1}" for i in range(lags + ("I" in letters))]
         self.plant_states = tuple((name, "") for name in chain)
         pair = "U" in letters
@@ -48,7 +46,7 @@ class ProcessPlant(ZohPlant):
         )
         super().__init__(ring)
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
         """Return A and B: each lag is driven by the one before, the first by the input."""
         n = len(self.plant_states)
         a: list[list[Any]] = [[0.0] * n for _ in range(n)]
@@ -66,15 +64,16 @@ class ProcessPlant(ZohPlant):
                 b[0] = rate
             else:
                 a[i][source] = rate
-        return a, b
+        return a, [[one] for one in b]
 
-    def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+    def readout(self, p: Any) -> tuple[Matrix, Matrix]:
         """Return K (x + Tz x') of the last state."""
         a, b = self.matrices(p)
         last = 0 if "U" in self.letters and len(a) == 2 else len(a) - 1
         zero = p.Tz if "Z" in self.letters else 0.0
         row = [p.K * ((1.0 if j == last else 0.0) + zero * value) for j, value in enumerate(a[last])]
-        return [row], [0.0 if isinstance(b[last], float) and b[last] == 0.0 else p.K * zero * b[last]]
+        (driven,) = b[last]
+        return [row], [[0.0 if isinstance(driven, float) and driven == 0.0 else p.K * zero * driven]]
 
 
 def process(form: str, *, input: str = "u", output: str = "y", ring: int = RING) -> Structure:

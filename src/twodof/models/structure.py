@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.expressions.expr import where
 from twodof.errors import IdentificationError, is_number, shown
-from twodof.models.around_plant import DelayedPair, Offset, whole_and_part
-from twodof.models.zero_order_hold import held, times, total
+from twodof.models.around_plant import Offset
+from twodof.models.zero_order_hold import Matrix, ZohPlant
 
 Array = NDArray[np.float64]
 
@@ -271,40 +270,32 @@ def linear_model(
         for one, (low, high) in ((one, limits[one]) for one in unknowns)
     ]
     plain, corrected = (
-        _LinearModel(a, b, c, feed, inputs, outputs, params, discrete, gains, late) for gains in (False, True)
+        _LinearModel((a, b, c, feed), inputs, outputs, params, discrete, gains, late, ring) for gains in (False, True)
     )
     gains = tuple(gain for row in corrected.gains for gain in row)
     common = set(late.values()) if len(late) == m else set()
     delay = str(next(iter(common))) if len(common) == 1 and common <= set(unknowns) else ""
-    predictor = Structure(_around(corrected, name, ring), (*unknowns, *states, *gains), local)
-    return Structure(_around(plain, name, ring), (*unknowns, *states), local, predictor=predictor, delay=delay)
+    predictor = Structure(_around(corrected, name), (*unknowns, *states, *gains), local)
+    return Structure(_around(plain, name), (*unknowns, *states), local, predictor=predictor, delay=delay)
 
 
-def _around(block: "_LinearModel", name: str, ring: int) -> Diagram:
+def _around(block: "_LinearModel", name: str) -> Diagram:
     """Return the diagram of a linear model between trims and biases."""
     diagram = Diagram(name)
     for param in block.params:
         diagram.param(param.name, float(param.value), unit=param.unit, low=param.low, high=param.high)
     diagram.add("model", block, params={param.name: param.name for param in block.params})
-    for port in block.inputs[: block.applied]:
-        one = port.name
+    for one in block.driven:
         diagram.input(one)
         diagram.param(f"{one}_trim", 0.0, text=f"constant part of {one} that moves nothing")
         diagram.add(f"trim_{one}", Offset("", -1.0), params={"offset": f"{one}_trim"}, u=one)
-        source, entry = f"trim_{one}", block.delays.get(one)
-        if entry is not None:
-            bound = {"tau": entry} if isinstance(entry, str) else {}
-            pair = DelayedPair(ring, 0.0 if isinstance(entry, str) else float(entry))
-            diagram.add(f"delay_{one}", pair, params=bound, u=source)
-            diagram.connect(f"delay_{one}.older", f"model.{one}_older")
-            source = f"delay_{one}.newer"
-        diagram.connect(source, f"model.{one}")
+        diagram.connect(f"trim_{one}", f"model.{one}")
     for port in block.outputs:
         one = port.name
         diagram.param(f"{one}_bias", 0.0, text=f"bias of the measured {one}")
         diagram.add(f"bias_{one}", Offset(""), params={"offset": f"{one}_bias"}, u=f"model.{one}")
         diagram.output(one, f"bias_{one}")
-    for port in block.inputs[block.applied : block.applied + len(block.gains[0])]:
+    for port in block.inputs[len(block.driven) :]:
         bias = port.name.removesuffix("_measured") + "_bias"
         diagram.input(port.name)
         diagram.add(f"unbiased_{port.name}", Offset("", -1.0), params={"offset": bias}, u=port.name)
@@ -317,7 +308,7 @@ def _length(rows: Any) -> int:
     return len(rows) if isinstance(rows, Sequence) and not isinstance(rows, str) else 0
 
 
-class _LinearModel(Block):
+class _LinearModel(ZohPlant):
     """Block of a linear model; the unknowns in its matrices are its parameters.
 
     With `gains` the measured outputs are inputs too, and K (y - C x - D u) is added to the states (innovation form).
@@ -325,84 +316,46 @@ class _LinearModel(Block):
 
     def __init__(
         self,
-        a: Rows,
-        b: Rows,
-        c: Rows,
-        d: Rows,
+        matrices: tuple[Rows, Rows, Rows, Rows],
         inputs: Sequence[str],
         outputs: Sequence[str],
         params: Sequence[Param],
         discrete: bool,
         gains: bool,
         delays: Mapping[str, Entry],
+        ring: int,
     ) -> None:
-        self.a, self.b, self.c, self.d, self.discrete, self.delays = a, b, c, d, discrete, delays
+        self.a, self.b, self.c, self.d = matrices
+        self.discrete, self.plant_delays, self.plant_params = discrete, delays, params
+        self.plant_states = [(f"x{i + 1}", "") for i in range(len(self.a))]
+        self.plant_inputs, self.plant_outputs = [Port(name) for name in inputs], [(name, "") for name in outputs]
+        super().__init__(ring)
         measured = [f"{name}_measured" for name in outputs] if gains else []
-        self.gains = [[f"K_{i + 1}_{j + 1}" for j in range(len(measured))] for i in range(len(a))]
-        self.applied = len(inputs)
-        self.inputs = tuple(Port(name) for name in (*inputs, *measured, *(f"{name}_older" for name in delays)))
-        self.outputs = tuple(Port(name) for name in outputs)
-        self.names = [f"x{i + 1}" for i in range(len(a))]
-        starts = (Param(f"{name}_0", text=f"{name} at the start") for name in self.names)
-        self.params = (*params, *starts, *(Param(gain) for row in self.gains for gain in row))
-        self.states = tuple(State(name, f"{name}_0") for name in self.names)
-        self.derived = (
-            *(Port(f"phi_{i}_{j}") for i in range(len(a)) for j in range(len(a))),
-            *(Port(f"gamma_{i}_{j}") for i in range(len(a)) for j in range(len(inputs))),
-            *(Port(f"older_{i}_{name}") for i in range(len(a)) for name in delays),
-            *(Port(f"part_{name}") for name in delays),
-        )
+        self.gains = [[f"K_{i + 1}_{j + 1}" for j in range(len(measured))] for i in range(len(self.a))]
+        self.inputs = (*self.inputs, *(Port(name) for name in measured))
+        self.params = (*self.params, *(Param(gain) for row in self.gains for gain in row))
 
-    def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """Return the discrete-time matrices Phi and Gamma of one tick, element by element."""
-        a, b = _numbers(self.a, p), _numbers(self.b, p)
-        n, m = len(a), len(b[0])
-        if self.discrete:
-            phi, gamma = [v for row in a for v in row], [v for row in b for v in row]
-        else:
-            phi, gamma = held(a, b, t.dt)
-        found: dict[str, Any] = {}
-        for name, entry in self.delays.items():
-            j = [port.name for port in self.inputs].index(name)
-            _, part = whole_and_part(p[entry] if isinstance(entry, str) else float(entry), t)
-            _, newer = held(a, [[row[j]] for row in b], t.dt * (1.0 - part))
-            for i in range(n):
-                found[f"older_{i}_{name}"] = gamma[i * m + j] - newer[i]
-                gamma[i * m + j] = newer[i]
-            found[f"part_{name}"] = part
-        return (
-            found
-            | {f"phi_{k // n}_{k % n}": value for k, value in enumerate(phi)}
-            | {f"gamma_{k // m}_{k % m}": value for k, value in enumerate(gamma)}
-        )
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
+        return _numbers(self.a, p), _numbers(self.b, p)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Return C x + D u."""
-        c, d = _numbers(self.c, p), _numbers(self.d, p)
-        state, inputs = [x[name] for name in self.names], [u[port.name] for port in self.inputs[: self.applied]]
-        for j, port in enumerate(self.inputs[: self.applied]):
-            if port.name in self.delays:
-                inputs[j] = where(p[f"part_{port.name}"] > 0.0, u[f"{port.name}_older"], inputs[j])
-        return {
-            port.name: total([*map(times, c[i], state), *map(times, d[i], inputs)])
-            for i, port in enumerate(self.outputs)
-        }
+    def readout(self, p: Any) -> tuple[Matrix, Matrix]:
+        return _numbers(self.c, p), _numbers(self.d, p)
+
+    def sampled(self, a: Matrix, b: Matrix, t: Clock) -> tuple[list[Any], list[Any]]:
+        """Return Phi and Gamma: in discrete time A and B themselves."""
+        if not self.discrete:
+            return super().sampled(a, b, t)
+        return [v for row in a for v in row], [v for row in b for v in row]
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """Return Phi x + Gamma u, and K times the innovation."""
-        predicted = self.output(u, x, p, t) if self.gains[0] else {}
-        innovation = [u[f"{name}_measured"] - one for name, one in predicted.items()]
-        return {
-            name: total(
-                [
-                    *(p[f"phi_{i}_{j}"] * x[other] for j, other in enumerate(self.names)),
-                    *(p[f"gamma_{i}_{j}"] * u[port.name] for j, port in enumerate(self.inputs[: self.applied])),
-                    *(p[f"older_{i}_{one}"] * u[f"{one}_older"] for one in self.delays),
-                    *(p[gain] * error for gain, error in zip(self.gains[i], innovation, strict=True)),
-                ]
-            )
-            for i, name in enumerate(self.names)
-        }
+        states = super().update(u, x, p, t)
+        if self.gains[0]:
+            innovation = [u[f"{name}_measured"] - one for name, one in self.output(u, x, p, t).items()]
+            for name, row in zip(self.names, self.gains, strict=True):
+                for gain, error in zip(row, innovation, strict=True):
+                    states[name] = states[name] + p[gain] * error
+        return states
 
 
 def _numbers(rows: Rows, p: Any) -> list[list[Any]]:

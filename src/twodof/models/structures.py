@@ -103,7 +103,7 @@ def pitch_on_cart(ring: int = 64) -> Structure:
     diagram.input("M")
     diagram.input("theta", unit="rad")
     diagram.input("gyro", unit="rad/s")
-    plant, cart, second = ZohPitchRateLag(ring), CartPush(), ZohPushedPitchRate(2)
+    plant, cart, second = ZohPitchRateLag(ring), CartPush(), ZohPushedPitchRate()
     _offer(diagram, "M_trim", 0.0, "", "constant part of M that moves nothing")
     _offer(diagram, "dead_time", 0.01, "s", "delay of the input", (0.0, (ring - 2) * PERIOD))
     for param in (*plant.params, *cart.params):
@@ -230,7 +230,7 @@ def about_trim(
     trim = _offer(diagram, f"{input}_trim", 0.0, unit, f"constant part of {input} that moves nothing")
     source = diagram.add("trim", Offset(unit, -1.0), params={"offset": trim}, u=input)
     # The ring holds this many steps of the control period; at a smaller step the delay reaches less far.
-    delay = plant.plant_delay if isinstance(plant, ZohPlant) else "tau"
+    delay = str(plant.plant_delays[input]) if isinstance(plant, ZohPlant) else "tau"
     most = (ring - 2) * PERIOD if longest is None else longest
     _offer(diagram, delay, values.get(delay, 0.0), "s", "delay of the input", (0.0, most))
     if not isinstance(plant, ZohPlant):

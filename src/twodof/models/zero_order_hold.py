@@ -4,14 +4,15 @@ A subclass gives A, B, C and D in terms of its parameters. `prepare` turns them 
 parameter changes, so that one compiled program serves a whole estimation; a step is then a few multiplications.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.arrays import fold
-from twodof.blocks.expressions.expr import maximum, real, to_int32, to_real, where
-from twodof.models.around_plant import past_input, past_states, remember
+from twodof.blocks.expressions.expr import maximum, real, to_real, where
+from twodof.models.around_plant import past_input, past_states, remember, whole_and_part
 from twodof.signals import GRAVITY
 
 # Taylor terms of the matrix exponential: |A| h <= 2 leaves 2^21 / 21! < 5e-14. A step with more is taken in pieces.
@@ -21,31 +22,36 @@ _DOUBLINGS = 6
 
 Matrix = Sequence[Sequence[Any]]
 
+_OF_DELAYS = (("whole", "int32"), ("split", "bool"), ("fits", "bool"))
+
 
 class ZohPlant(Block):
-    """x' = A x + B u(t - dead time), y = C x + D u(t - dead time) for a scalar input held between steps.
+    """x' = A x + B u(t - dead time), y = C x + D u(t - dead time) for inputs held between steps.
 
-    Inputs before step 0 equal that of step 0. The dead time, the parameter named `plant_delay`, is a real number of
-    seconds, from 0 to `ring - 2` steps; a longer one gives NaN. Each state is named in `plant_states` (name, unit)
-    and starts from the parameter "<name>_0". A state named in `follows` starts at the value of the first input. The
-    outputs are the states, unless `plant_outputs` names others.
+    `plant_delays` names the parameter of an input's dead time, or is a number of seconds: from 0 to `ring - 2` steps; a
+    longer one gives NaN. A delayed input was before step 0 what it is at step 0. Each state is named in `plant_states`
+    (name, unit) and starts from the parameter "<name>_0". A state named in `follows` starts at the value of the first
+    input. The outputs are the states, unless `plant_outputs` names others.
     """
 
     plant_states: Sequence[tuple[str, str]] = ()
-    plant_delay = "tau"
+    plant_inputs: Sequence[Port] = (Port("M"),)
+    plant_delays: Mapping[str, float | str] = MappingProxyType({"M": "tau"})
     follows: Sequence[str] = ()
-    plant_input = Port("M")
     plant_outputs: Sequence[tuple[str, str]] = ()
     plant_params: Sequence[Param] = ()
 
     def __init__(self, ring: int = 64) -> None:
         self.ring = ring
         self.names = names = [name for name, _ in self.plant_states]
-        self.inputs = (self.plant_input,)
+        self.driven = driven = [port.name for port in self.plant_inputs]
+        known = [param.name for param in self.plant_params]
+        delays = [one for one in dict.fromkeys(self.plant_delays.values()) if isinstance(one, str) and one not in known]
+        self.inputs = tuple(self.plant_inputs)
         self.outputs = tuple(Port(name, unit=unit) for name, unit in self.plant_outputs or self.plant_states)
         self.params = (
             *self.plant_params,
-            Param(self.plant_delay, 0.0, unit="s", low=0.0, text="delay of the input"),
+            *(Param(one, 0.0, unit="s", low=0.0, text="delay of the input") for one in delays),
             *(
                 Param(f"{name}_0", unit=unit, text=f"{name} at the start")
                 for name, unit in self.plant_states
@@ -54,74 +60,81 @@ class ZohPlant(Block):
         )
         self.states = (
             *(State(name, 0.0 if name in self.follows else f"{name}_0", unit=unit) for name, unit in self.plant_states),
-            *past_states(ring),
+            *(past_states(ring, *self.plant_delays) if self.plant_delays else ()),
         )
         self.derived = (
             *(Port(f"phi_{i}_{j}") for i in names for j in names),
-            *(Port(f"old_{i}") for i in names),
-            *(Port(f"new_{i}") for i in names),
-            Port("whole", "int32"),
-            Port("split", "bool"),
-            Port("fits", "bool"),
+            *(Port(f"new_{i}_{j}") for i in names for j in driven),
+            *(Port(f"old_{i}_{j}") for i in names for j in self.plant_delays),
+            *(Port(f"{what}_{j}", kind) for j in self.plant_delays for what, kind in _OF_DELAYS),
         )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """Return A (n rows) and B (n), from the parameters."""
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
+        """Return A (n rows) and B (n rows, a number an input), from the parameters."""
         raise AttributeError(f"{type(self).__name__} does not define matrices")
 
-    def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """Return C (a row an output) and D (a number an output): by default each output is the state of its name."""
+    def readout(self, p: Any) -> tuple[Matrix, Matrix]:
+        """Return the rows of C and D, one an output: by default each output is the state of its name."""
         rows = [[float(port.name == name) for name in self.names] for port in self.outputs]
-        return rows, [0.0] * len(rows)
+        return rows, [[0.0] * len(self.driven) for _ in rows]
+
+    def sampled(self, a: Matrix, b: Matrix, t: Clock) -> tuple[list[Any], list[Any]]:
+        """Return Phi and the inputs' effect over a step, each row by row in one list."""
+        return held(a, b, t.dt)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """Return Phi(dt), and the input's effect before and after its edge inside the step, if the delay ends there."""
+        """Return Phi(dt), and each input's effect before and after its edge inside the step, if there is one."""
         a, b = self.matrices(p)
-        steps = p[self.plant_delay] / t.dt
-        # A delay that is a multiple of dt up to rounding is that multiple.
-        whole = to_int32(steps + 1e-9)
-        part = steps - to_real(whole)
-        split = part > 1e-9
-        drive = [[value] for value in b]
-        phi, full = held(a, drive, t.dt)
-        _, late = held(a, drive, t.dt * (1.0 - where(split, part, 0.0)))
-        result: dict[str, Any] = {"whole": whole, "split": split, "fits": steps <= self.ring - 2.0}
-        for i, row in enumerate(self.names):
-            result[f"old_{row}"] = full[i] - late[i]
-            result[f"new_{row}"] = late[i]
-            for j, column in enumerate(self.names):
-                result[f"phi_{row}_{column}"] = phi[i * len(a) + j]
-        return result
+        phi, effect = self.sampled(a, b, t)
+        result: dict[str, Any] = {}
+        for j, name in enumerate(self.driven):
+            new = effect[j :: len(self.driven)]
+            if name in self.plant_delays:
+                named = self.plant_delays[name]
+                delay = p[named] if isinstance(named, str) else real(named)
+                whole, part = whole_and_part(delay, t)
+                _, late = held(a, [[row[j]] for row in b], t.dt * (1.0 - part))
+                result |= {f"old_{row}_{name}": new[i] - late[i] for i, row in enumerate(self.names)}
+                fits = delay / t.dt <= self.ring - 2.0
+                result |= {f"whole_{name}": whole, f"split_{name}": part > 0.0, f"fits_{name}": fits}
+                new = late
+            result |= {f"new_{row}_{name}": new[i] for i, row in enumerate(self.names)}
+        n = len(a)
+        return result | {f"phi_{self.names[k // n]}_{self.names[k % n]}": value for k, value in enumerate(phi)}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Return C x + D u, with the delayed input."""
+        """Return C x + D u, with the delayed inputs."""
         c, d = self.readout(p)
-        state = [x[name] for name in self.names]
-        through = d
-        if any(not _is_zero(value) for value in d):
-            old, new = self._delayed(u, x, p)
-            now = where(p.split, old, new)
-            through = [0.0 if _is_zero(value) else value * now for value in d]
+        values = [x[name] for name in self.names]
+        for name, *column in zip(self.driven, *d, strict=True):
+            direct = any(not _is_zero(value) for value in column)
+            older, newer = self._applied(u, x, p, name) if direct else (None, 0.0)
+            values.append(newer if older is None else where(p[f"split_{name}"], older, newer))
         return {
-            port.name: total([*(times(k, s) for k, s in zip(row, state, strict=True)), direct])
-            for port, row, direct in zip(self.outputs, c, through, strict=True)
+            port.name: total([times(k, value) for k, value in zip((*row, *through), values, strict=True)])
+            for port, row, through in zip(self.outputs, c, d, strict=True)
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        old, new = self._delayed(u, x, p)
-        first = u[self.inputs[0].name]
-        now = {name: where(x.age == 0, first, x[name]) if name in self.follows else x[name] for name in self.names}
-        result: dict[str, Any] = {
-            row: total([p[f"phi_{row}_{column}"] * now[column] for column in self.names])
-            + (p[f"old_{row}"] * old + p[f"new_{row}"] * new)
-            for row in self.names
-        }
-        return result | remember(u[self.inputs[0].name], x, self.ring)
+        """Return Phi x + Gamma u, each delayed input in two parts of the step."""
+        first, now = u[self.driven[0]], {name: x[name] for name in self.names}
+        now |= {name: where(x.age == 0, first, x[name]) for name in self.follows}
+        applied = {name: self._applied(u, x, p, name) for name in self.driven}
+        result = {}
+        for row in self.names:
+            drive = []
+            for name, (older, newer) in applied.items():
+                drive += [] if older is None else [p[f"old_{row}_{name}"] * older]
+                drive.append(p[f"new_{row}_{name}"] * newer)
+            result[row] = total([p[f"phi_{row}_{column}"] * now[column] for column in self.names]) + total(drive)
+        return result | (remember(u, x, self.ring, *self.plant_delays) if self.plant_delays else {})
 
-    def _delayed(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
-        """Return the input `whole + 1` and `whole` steps ago; before step 0 that of step 0."""
-        ago = past_input(u[self.inputs[0].name], x, p.fits, self.ring)
-        return ago(p.whole + 1), ago(p.whole)
+    def _applied(self, u: Any, x: Any, p: Any, name: str) -> tuple[Any, Any]:
+        """Return what an input applies before its edge inside the step, None without a delay, and behind it."""
+        if name not in self.plant_delays:
+            return None, u[name]
+        ago, whole = past_input(u, x, name, p[f"fits_{name}"], self.ring), p[f"whole_{name}"]
+        return ago(whole + 1), ago(whole)
 
 
 def held(a: Matrix, b: Matrix, dt: Any) -> tuple[list[Any], list[Any]]:
@@ -198,9 +211,9 @@ class ZohPitchRate(ZohPlant):
         Param("mu", 358.5, unit="rad/s2", text="gain from normalised moment to angular acceleration"),
     )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
         """Return the matrices of paper equations (3) to (6)."""
-        return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), (0.0, p.mu)
+        return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), ((0.0,), (p.mu,))
 
 
 @library_block("models.HeldPushedPitchRate")
@@ -208,12 +221,13 @@ class ZohPushedPitchRate(ZohPlant):
     """The pitch under a push, an angular acceleration: q' = -w_n^2 theta - 2 xi w_n q + push."""
 
     plant_states = ZohPitchRate.plant_states
-    plant_input = Port("push", unit="rad/s2")
+    plant_inputs = (Port("push", unit="rad/s2"),)
+    plant_delays = MappingProxyType({})
     plant_params = ZohPitchRate.plant_params[:2]
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
         """Return the matrices of paper equations (3) to (6), driven by the push itself."""
-        return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), (0.0, 1.0)
+        return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), ((0.0,), (1.0,))
 
 
 @library_block("models.HeldPitchRateLag")
@@ -226,18 +240,18 @@ class ZohPitchRateLag(ZohPlant):
 
     plant_states = (*ZohPitchRate.plant_states, ("m", ""))
     plant_outputs = ZohPitchRate.plant_states
-    plant_delay = "dead_time"
+    plant_delays = MappingProxyType({"M": "dead_time"})
     follows = ("m",)
     plant_params = (
         *ZohPitchRate.plant_params,
         Param("lag", 0.011, unit="s", low=0.0005, text="time constant of the rotors"),
     )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
         """Return the matrices of paper equations (3) to (6), with the rotors' moment."""
         return (
             ((0.0, 1.0, 0.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n, p.mu), (0.0, 0.0, -(1.0 / p.lag))),
-            (0.0, 0.0, 1.0 / p.lag),
+            ((0.0,), (0.0,), (1.0 / p.lag,)),
         )
 
 
@@ -246,14 +260,15 @@ class ZohVelocity(ZohPlant):
     """G_v and G_x, paper equation (9): v' = -p_v v - k_v theta, x' = v."""
 
     plant_states = (("x", "m"), ("v", "m/s"))
-    plant_input = Port("theta", unit="rad")
+    plant_inputs = (Port("theta", unit="rad"),)
+    plant_delays = MappingProxyType({"theta": "tau"})
     plant_params = (
         Param("k_v", 4.748, unit="m/s2", text="gain from pitch to deceleration"),
         Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
     )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        return ((0.0, 1.0), (0.0, -p.p_v)), (0.0, -p.k_v)
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
+        return ((0.0, 1.0), (0.0, -p.p_v)), ((0.0,), (-p.k_v,))
 
 
 @library_block("models.HeldPitchAndVelocity")
@@ -263,7 +278,7 @@ class ZohPitchAndVelocity(ZohPlant):
     plant_states = (*ZohPitchRate.plant_states, *ZohVelocity.plant_states)
     plant_params = (*ZohPitchRate.plant_params, *ZohVelocity.plant_params)
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
         """Return the matrices of paper equations (3) to (6) and (9)."""
         return (
             (
@@ -272,7 +287,7 @@ class ZohPitchAndVelocity(ZohPlant):
                 (0.0, 0.0, 0.0, 1.0),
                 (-p.k_v, 0.0, 0.0, -p.p_v),
             ),
-            (0.0, p.mu, 0.0, 0.0),
+            ((0.0,), (p.mu,), (0.0,), (0.0,)),
         )
 
 
@@ -291,10 +306,10 @@ class ZohLongitudinal(ZohPlant):
         Param("M_d", 450.71, unit="rad/s2", text="pitch acceleration by moment"),
     )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        return ((p.X_u, p.X_q, -GRAVITY), (p.M_u, p.M_q, 0.0), (0.0, 1.0, 0.0)), (p.X_d, p.M_d, 0.0)
+    def matrices(self, p: Any) -> tuple[Matrix, Matrix]:
+        return ((p.X_u, p.X_q, -GRAVITY), (p.M_u, p.M_q, 0.0), (0.0, 1.0, 0.0)), ((p.X_d,), (p.M_d,), (0.0,))
 
-    def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+    def readout(self, p: Any) -> tuple[Matrix, Matrix]:
         """Return the states and the accelerometer."""
         states, _ = super().readout(p)
-        return [*states[:3], (p.X_u, p.X_q, 0.0)], (0.0, 0.0, 0.0, p.X_d)
+        return [*states[:3], (p.X_u, p.X_q, 0.0)], ((0.0,), (0.0,), (0.0,), (p.X_d,))
