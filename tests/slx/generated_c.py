@@ -27,6 +27,11 @@ REAL = (ctypes.c_float, ctypes.c_double)
 PLACES = {"sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "atan2": 2}
 """Elementary functions, with the number of their arguments."""
 FLAGS = ("-std=gnu11", "-O1", "-ffp-contract=off", "-fno-builtin", "-w", "-shared", "-fPIC")
+HEAD = (
+    "#include <math.h>", "#define arm_sin_f32 ours_sin", "#define arm_cos_f32 ours_cos", "#include <limits.h>",
+    "#undef LONG_MAX", "#undef ULONG_MAX", "#define LONG_MAX INT_MAX", "#define ULONG_MAX UINT_MAX",
+)  # fmt: skip
+"""Lines before the C: two functions of CMSIS, and a long as short as on the boards, which the C checks."""
 
 
 @dataclass
@@ -68,19 +73,21 @@ def _plain(name: str) -> str:
 def built(folder: Path, files: Sequence[str], made: Path, single: bool) -> GeneratedCode:
     """Compile files of a folder; elementary functions take the precision `single`, or double."""
     real, end = ("float", "f") if single else ("double", "")
-    head, body = ["#include <math.h>", "#define arm_sin_f32 ours_sin", "#define arm_cos_f32 ours_cos"], ["#pragma once"]
+    head, body = [*HEAD], list[str]()
     for name, places in PLACES.items():
         declared = f"{real} (*ours_{name})({', '.join([real] * places)});"
         head += [f"extern {declared}", f"#define {name}{end} ours_{name}"]
         body.append(declared)
-    for name, lines in (("ours.h", head), ("ours.c", body[1:]), ("arm_math.h", [])):
+    for name, lines in (("ours.h", head), ("ours.c", body), ("arm_math.h", [])):
         (made / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
     parts = [f"-I{folder}", f"-I{made}"]
     sources = [*(str(folder / one) for one in files), str(made / "ours.c")]
     library = made / "generated.so"
     command = ["gcc", *FLAGS, *parts, "-include", str(made / "ours.h"), *sources, "-o", str(library), "-lm"]
     subprocess.run(command, check=True)
-    seen = subprocess.run(["gcc", "-E", "-P", *parts, sources[0]], stdout=subprocess.PIPE, check=True)
+    seen = subprocess.run(
+        ["gcc", "-E", "-P", *parts, "-include", str(made / "ours.h"), sources[0]], stdout=subprocess.PIPE, check=True
+    )
     headers = "\n".join(one.read_text(encoding="utf-8", errors="replace") for one in sorted(folder.glob("*.h")))
     code = GeneratedCode(ctypes.CDLL(str(library)), _structures(seen.stdout.decode(errors="replace")), headers, [])
     for name, places in PLACES.items():

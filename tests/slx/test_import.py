@@ -172,14 +172,19 @@ def test_elements_of_vectors_are_chosen_and_joined_one_by_one(tmp_path: Path) ->
         ("Switch", "chosen", {"Criteria": "u2 > Threshold", "Threshold": ".5"}),
         ("CompareToConstant", "large", {"relop": ">", "const": "[1 2 3]"}),
         ("Logic", "any", {"Operator": "OR", "Inputs": "1"}),
+        ("MinMax", "most", {"Function": "max", "Inputs": "1"}),
+        ("Product", "scaled", {"Multiplication": "Matrix(*)"}),
         ("Outport", "y", {}),
         ("Outport", "some", {"Port": "2"}),
+        ("Outport", "all", {"Port": "3"}),
     ]
     lines = [("u", "twice"), ("twice", "chosen:1"), ("u", "chosen:2"), ("none", "chosen:3"), ("chosen", "y"),
-             ("u", "large"), ("large", "any"), ("any", "some")]  # fmt: skip
+             ("u", "large"), ("large", "any"), ("any", "some"), ("u", "most"),
+             ("u", "scaled:1"), ("most", "scaled:2"), ("scaled", "all")]  # fmt: skip
     found = flown(import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT), {"u": DRAWN.T})
     assert np.array_equal(found["y"], np.where(DRAWN.T > 0.5, 2.0 * DRAWN.T, [7.0, 8.0, 9.0]))
     assert np.array_equal(found["some"], (DRAWN.T > [1.0, 2.0, 3.0]).any(axis=1))
+    assert np.array_equal(found["all"], DRAWN.T * DRAWN.T.max(axis=1, keepdims=True))
 
 
 def test_a_loop_is_broken_at_its_delay_and_goto_leads_to_from(tmp_path: Path) -> None:

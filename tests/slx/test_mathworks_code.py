@@ -147,9 +147,10 @@ PAIRS = [
     Pair("Car", "f09f371", "19dd53b", "1.1151", 0.01),
     Pair("FW", "f09f371", "19dd53b", "1.1112"),
     Pair("MC", "f09f371", "3b6e900", "1.1001"),
+    Pair("VTOL", "413929b", "102edd7", "1.859"),
     Pair("Submarine", "f09f371", "19dd53b", "1.1007"),
 ]
-SPANS = {"reset": (0, 2), "ctrl_mode": (0, 9), "status": (0, 4), "state": (0, 4)}
+SPANS = {"reset": (0, 2), "ctrl_mode": (0, 9), "status": (0, 4), "state": (0, 8)}
 """Whole numbers of inputs that mean something, from the first to before the last."""
 FILES = ("Controller.c", "Controller_data.c")
 

@@ -300,6 +300,9 @@ def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
         (("Product", WRAP), ("uint32", "uint32"), ((INT8 + 128) << 20, (OTHER + 128) << 9),
          wrapped(((INT8 + 128) << 20) * ((OTHER + 128) << 9), "uint32")),
         (("Gain", {"Gain": "3", **WRAP}), ("uint8",), (INT8 + 128,), wrapped(3 * (INT8 + 128), "uint8")),
+        # A gain of 16 bits: 33554 / 2^25, the 0.000999987125F of MathWorks' C.
+        (("Gain", {"Gain": ".001", "OutDataTypeStr": "double"}), ("uint16",), ((INT8 + 128) * 257,),
+         (INT8 + 128) * 257 * (33554 / 2**25)),
         (("Gain", {"Gain": ".1", "OutDataTypeStr": "double", "ParamDataTypeStr": "double"}), ("int16",), (INT8,),
          0.1 * INT8),
         (("Abs", SATURATE), ("int8",), (INT8,), saturated(np.abs(INT8), "int8")),

@@ -23,7 +23,7 @@ from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, STORED, WORDS
 from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Constant, Maximum, Minimum, Saturation
 from twodof.slx.composite_blocks import formula
 from twodof.slx.data_types import kind_of
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, passes, plain, same
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, of_elements, passes, plain, same
 
 ROUNDING: Mapping[str, Callable[[Any], Any]] = {
     "Floor": floor,
@@ -127,6 +127,11 @@ def whole_product(c: Asked, signs: str) -> Made | None:
 def whole_gain(c: Asked, gain: float) -> Made | None:
     """Return a gain of whole numbers; None where all is real. A gain of whole numbers must be whole itself."""
     real = c.text("ParamDataTypeStr", "") in ("double", "single") or c.inputs[0].number == "real"
+    kind, said = BY_NAME[c.inputs[0].number], c.text("OutDataTypeStr", "")
+    if not real and not gain.is_integer() and gain > 0.0 == kind.low and said in ("single", "double"):
+        # The gain is a whole number of as many bits, scaled by the smallest power of two that it fits.
+        scale = 2.0 ** math.floor(math.log2((kind.high + 0.5) / gain))
+        gain, real = math.floor(gain * scale + 0.5) / scale, True
     if not real and not gain.is_integer():
         raise NotTranslated(f"Gain = {gain:g} of {c.inputs[0]} is not translated: its scaling is not known")
     return whole(c, lambda u: u * gain)
@@ -153,9 +158,7 @@ def _saturate(c: Asked) -> Made:
 def _min_max(c: Asked) -> Made:
     name = c.needs("Function", "min", "min", "max")
     if len(c.inputs) == 1:
-        if c.width is not None:
-            raise NotTranslated("the smallest or largest element of one input is not translated")
-        return passes(c)
+        return of_elements(c, _min_max) if c.width is not None else passes(c)
     lower = lambda a, b: where(a < b, a, b) if name == "min" else where(b < a, a, b)  # noqa: E731
     made = whole(c, lambda *v: reduce(lower, v), "Inherit: Inherit via internal rule")
     return made or same(c, {"min": Minimum, "max": Maximum}[name](len(c.inputs), "real", c.width))

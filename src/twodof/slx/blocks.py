@@ -53,7 +53,19 @@ from twodof.slx.data_types import BUS_RULES, kind_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
 from twodof.slx.matrices import MATRIX_LINES, matrix
 from twodof.slx.toolbox_blocks import TOOLBOX_RULES
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, holds, passes, plain, same
+from twodof.slx.translation import (
+    Asked,
+    Made,
+    NotTranslated,
+    Rule,
+    Signal,
+    expanded,
+    holds,
+    of_elements,
+    passes,
+    plain,
+    same,
+)
 
 
 def _constant(c: Asked) -> Made:
@@ -120,7 +132,8 @@ def _sum(c: Asked) -> Made:
 
 
 def _product(c: Asked) -> Made:
-    if c.text("Multiplication", "Element-wise(.*)") != "Element-wise(.*)" and c.width is not None:
+    vectors = sum(one.width is not None for one in c.inputs)  # with scalars beside it a vector is only scaled
+    if c.text("Multiplication", "Element-wise(.*)") != "Element-wise(.*)" and (vectors > 1 or len(c.inputs) == vectors):
         raise NotTranslated("a product of matrices is not translated")
     signs = _signs(c, "2", "*", "*/")
     if (made := whole_product(c, signs)) is not None:
@@ -280,13 +293,7 @@ def _logic(c: Asked) -> Made:
     if name not in ("and", "or", "xor", "nand", "nor", "not"):
         raise NotTranslated(f"Operator = {name!r} is not translated")
     if len(c.inputs) == 1 and c.width is not None and name != "not":  # of the elements of one vector
-        one = c.inputs[0]
-        of = _logic(replace(c, inputs=[replace(one, width=None)] * c.width)).item or Logic(name, c.width)
-        d = Diagram("logic")
-        d.add("each", Demux(c.width, one.number), u=d.input("u", one.kind, one.width))
-        d.add("y", of, inputs={port: f"each.{port}" for port in port_series(c.width)})
-        d.output("y", "y")
-        return Made(d, [Signal("bool")])
+        return of_elements(c, _logic)
     logic, output = Logic(name, len(c.inputs), c.width), Signal("bool", c.width)
     if all(one.kind == "bool" for one in c.inputs):
         return Made(logic, [output])

@@ -224,6 +224,9 @@ class _Import(Wiring):
             raise NotTranslated(f"a {block.kind} is not translated")
         if block.values.get("Variant", "off") == "on":
             choice = self._choice(block, names)
+            inside = f"{below(at, choice)}/"  # its code stands in place of the variant's
+            own = [path for path in self.code if path.startswith(inside)]
+            self.code |= {f"{at}/{path.removeprefix(inside)}": self.code[path] for path in own}
             return choice.system, choice
         if block.type == "SubSystem" and (file := block.values.get("ReferencedSubsystem", "")):
             self._take_code(file, "", at)

@@ -199,6 +199,20 @@ def each(rule: Rule, *parameters: str) -> Rule:
     return made
 
 
+def of_elements(c: Asked, rule: Rule) -> Made:
+    """Return the block of a rule whose inputs are the elements of the one vector."""
+    one, width = c.inputs[0], c.inputs[0].width or 1
+    made = rule(replace(c, inputs=[replace(one, width=None)] * width))
+    if made.item is None:
+        raise NotTranslated("its vector is not translated")
+    ports = [port.name for port in made.item.inputs] if isinstance(made.item, LibraryBlock) else [*made.item.inputs]
+    d = Diagram("elements")
+    d.add("each", Demux(width, one.number), u=d.input("u", one.kind, one.width))
+    d.add("y", made.item, inputs=dict(zip(ports, (f"each.{name}" for name in port_series(width)), strict=True)))
+    d.output("y", "y")
+    return Made(d, made.outputs)
+
+
 def passes(c: Asked) -> Made:
     """Return a block that passes its input on: within a step of an integrator too, where it is a number."""
     one = c.inputs[0]
