@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tests.patience import PATIENCE_S
 
@@ -83,3 +83,18 @@ def program(folder: Path, *arguments: str) -> Iterator[Program]:
         yield running
     finally:
         running.close()
+
+
+class Said(NamedTuple):
+    """What a command of ours has printed."""
+
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+
+Shell = Callable[..., Said]
+"""A command line that runs in this process and must end with a status, by default 0: `shell(arguments, status)`."""

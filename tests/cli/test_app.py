@@ -1,6 +1,5 @@
 """The command line: exit statuses, errors, JSON and Ctrl-C."""
 
-import json
 import re
 import signal
 import subprocess
@@ -14,9 +13,10 @@ import numpy as np
 import pytest
 import typer
 
+from tests.cli.program import Shell
 from tests.patience import PATIENCE_S
 from tests.processes import started
-from twodof.cli.app import COMMANDS, app, run
+from twodof.cli.app import COMMANDS, app
 from twodof.flightlog.files import write_log
 from twodof.flightlog.log import Channel, FlightLog
 
@@ -50,34 +50,29 @@ def test_help_names_commands_and_imports_none() -> None:
 
 
 @pytest.mark.parametrize("arguments", [["nonsense"], ["log", "info"], ["log", "info", "x", "--nonsense"]])
-def test_a_wrong_call_is_the_callers_mistake(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(arguments) == 2
-    out, err = capfd.readouterr()
+def test_a_wrong_call_is_the_callers_mistake(arguments: list[str], shell: Shell) -> None:
+    out, err = shell(arguments, 2)
     assert out == ""
     assert "Usage" in err
 
 
-def test_an_error_says_what_where_and_remedy(capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["log", "info", "nowhere.mat"]) == 2
-    out, err = capfd.readouterr()
+def test_an_error_says_what_where_and_remedy(shell: Shell) -> None:
+    out, err = shell(["log", "info", "nowhere.mat"], 2)
     assert out == ""
     assert "nowhere.mat" in err
     assert "remedy:" in err
     assert "Traceback" not in err
-    assert run(["log", "info", "nowhere.mat", "--json"]) == 2
-    error = json.loads(capfd.readouterr().out)["error"]
+    error = shell(["log", "info", "nowhere.mat", "--json"], 2).json["error"]
     assert error["kind"] == "LogError"
     assert error["where"] == "nowhere.mat"
 
 
-def test_log_info_lists_channels_and_thrust(log_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["log", "info", str(log_file), "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+def test_log_info_lists_channels_and_thrust(log_file: Path, shell: Shell) -> None:
+    found = shell(["log", "info", str(log_file), "--json"]).json
     assert {row["name"] for row in found["channels"]} == {"T", "theta"}
     (armed,) = found["armed_s"]
     assert armed == pytest.approx([0.5, 1.5], abs=0.0041)
-    assert run(["log", "info", str(log_file)]) == 0
-    assert "thrust on: 0.500 to 1.500 s" in capfd.readouterr().out
+    assert "thrust on: 0.500 to 1.500 s" in shell(["log", "info", str(log_file)]).out
 
 
 def test_ctrl_c_leaves_files_whole_and_exits_130(tmp_path: Path) -> None:
@@ -126,12 +121,9 @@ EVERY_COMMAND = list(commands(typer.main.get_command(app)))
 
 
 @pytest.mark.parametrize(("typed", "command"), EVERY_COMMAND, ids=[" ".join(typed) for typed, _ in EVERY_COMMAND])
-def test_help_says_every_option_to_the_letter(
-    typed: tuple[str, ...], command: Any, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_help_says_every_option_to_the_letter(typed: tuple[str, ...], command: Any, shell: Shell) -> None:
     """Brackets above all, such as those around units, which a markup language takes for its own."""
-    assert run([*typed, "--help"]) == 0
-    text = " ".join(capfd.readouterr().out.split())
+    text = " ".join(shell([*typed, "--help"]).out.split())
     letters = text.replace(" ", "")  # lines are broken at hyphens too
     assert not re.search(r" [.,;:)](?!\w)", text.replace(" ...", ""))
     said = [command.help or "", *(getattr(parameter, "help", None) or "" for parameter in command.params)]

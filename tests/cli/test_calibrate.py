@@ -1,12 +1,11 @@
 """`twodof calibrate`: what it prints and writes; that it calibrates is tested where it stands."""
 
-import json
 from pathlib import Path
 
 import pytest
 
+from tests.cli.program import Shell
 from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
-from twodof.cli.app import run
 from twodof.rig.parameters import lab, load_rig
 
 
@@ -22,31 +21,25 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_written_rig_can_be_flown(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_written_rig_can_be_flown(folder: Path, shell: Shell) -> None:
     out = folder / "mine.json"
-    assert run(["calibrate", "--data", str(folder), "--out", str(out), "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+    found = shell(["calibrate", "--data", str(folder), "--out", str(out), "--json"]).json
     assert found["file"] == str(out)
     assert load_rig(out).snapshot() == lab().snapshot() == found["rig"]
 
 
-def test_people_read_unknowns_and_fits(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["calibrate", "--data", str(folder)]) == 0
-    out = capfd.readouterr().out
+def test_people_read_unknowns_and_fits(folder: Path, shell: Shell) -> None:
+    out = shell(["calibrate", "--data", str(folder)]).out
     assert all(unknown.name in out for unknown in UNKNOWNS)
     assert all(name in out for name in FLIGHTS)
     assert "converged" in out
     assert out.count("left out") == out.count("ceiling") == len(FLIGHTS)
 
 
-def test_a_search_without_convergence_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_search_without_convergence_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     monkeypatch.setattr("twodof.cli.log.calibrate_rig", lambda folder, leave, report: made_up(False))
-    assert run(["calibrate", "--data", str(tmp_path)]) == 1
-    assert "NOT converged" in capfd.readouterr().out
+    assert "NOT converged" in shell(["calibrate", "--data", str(tmp_path)], 1).out
 
 
-def test_missing_logs_are_the_callers_mistake(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["calibrate", "--data", str(tmp_path), "--json"]) == 2
-    assert json.loads(capfd.readouterr().out)["error"]["kind"] == "LogError"
+def test_missing_logs_are_the_callers_mistake(tmp_path: Path, shell: Shell) -> None:
+    assert shell(["calibrate", "--data", str(tmp_path), "--json"], 2).json["error"]["kind"] == "LogError"

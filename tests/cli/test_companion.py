@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.program import Shell
 from tests.companion.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
-from twodof.cli.app import run
 from twodof.link.transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.url import parse
@@ -102,8 +102,5 @@ async def _gone(process: asyncio.subprocess.Process) -> None:
         (["--index", "10"], "say where this one serves"),
     ],
 )
-def test_a_mistake_is_told_with_its_remedy(
-    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["companion", *arguments]) == 2
-    assert complaint in capsys.readouterr().err
+def test_a_mistake_is_told_with_its_remedy(arguments: list[str], complaint: str, shell: Shell) -> None:
+    assert complaint in shell(["companion", *arguments], 2).err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import xml.etree.ElementTree as ElementTree
 import zipfile
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.program import Shell
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, Sum, UnitDelay
 from twodof.blocks.schema.json_form import to_json
@@ -37,24 +37,19 @@ def loop(tmp_path: Path) -> str:
     return str(file)
 
 
-def test_a_new_diagram_is_the_starter(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_new_diagram_is_the_starter(tmp_path: Path, shell: Shell) -> None:
     file = tmp_path / "mine.json"
     assert run(["diagram", "new", "stock-attitude", str(file)]) == 0
     assert load_diagram(file).name == load_diagram("stock-attitude").name
     file.write_text("{}")
-    assert run(["diagram", "new", "stock-attitude", str(file)]) == 2
-    assert "there already" in capfd.readouterr().err
+    assert "there already" in shell(["diagram", "new", "stock-attitude", str(file)], 2).err
     assert run(["diagram", "new", "stock-attitude", str(file), "--overwrite"]) == 0
     assert run(["diagram", "new", "no-such-starter", str(tmp_path / "x.json")]) == 2
 
 
-def test_check_says_what_compiles_and_what_does_not(
-    loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["diagram", "check", loop]) == 0
-    assert "it compiles" in capfd.readouterr().out
-    assert run(["diagram", "check", loop, "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+def test_check_says_what_compiles_and_what_does_not(loop: str, tmp_path: Path, shell: Shell) -> None:
+    assert "it compiles" in shell(["diagram", "check", loop]).out
+    found = shell(["diagram", "check", loop, "--json"]).json
     assert found["fine"] is True
     assert found["sizes"]["blocks"] == 4
     assert found["feedthrough"] == {"y": ["r"]}
@@ -62,19 +57,17 @@ def test_check_says_what_compiles_and_what_does_not(
     text = re.sub(r'\["(memory|r)", "(error\.b|gain\.u|idle\.u|memory\.u)"\],?', "", to_json(LOOP))
     broken = tmp_path / "broken.json"
     broken.write_text(re.sub(r",(\s*)\]", r"\1]", text))
-    assert run(["diagram", "check", str(broken), "--json"]) == 1
-    problems = json.loads(capfd.readouterr().out)["problems"]
+    problems = shell(["diagram", "check", str(broken), "--json"], 1).json["problems"]
     assert {p["where"] for p in problems} == {"error.b", "idle.u"}
-    assert run(["diagram", "check", str(broken)]) == 1
-    assert "2 problems" in capfd.readouterr().out
+    assert "2 problems" in shell(["diagram", "check", str(broken)], 1).out
 
 
-def test_check_names_the_template_and_its_faults(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_check_names_the_template_and_its_faults(loop: str, tmp_path: Path, shell: Shell) -> None:
     """tests/flight/test_templates.py has the faults one by one."""
-    assert run(["diagram", "check", loop]) == 0
-    assert "it fits no template of the drone's controllers (attitude_control, " in capfd.readouterr().out
-    assert run(["diagram", "check", "lqr-attitude", "--template", "attitude_control"]) == 0
-    assert capfd.readouterr().out.endswith("\nit fits the template attitude_control\n")
+    assert "it fits no template of the drone's controllers (attitude_control, " in shell(["diagram", "check", loop]).out
+    assert shell(["diagram", "check", "lqr-attitude", "--template", "attitude_control"]).out.endswith(
+        "\nit fits the template attitude_control\n"
+    )
     d = Diagram("mine")
     d.input("theta", "real", unit="deg")
     d.add("k", Gain(2.0), u="theta")
@@ -82,65 +75,55 @@ def test_check_names_the_template_and_its_faults(loop: str, tmp_path: Path, capf
     mine = tmp_path / "mine.json"
     mine.write_text(to_json(d))
     for options, status in ([], 0), (["--template", "attitude_control"], 1):
-        assert run(["diagram", "check", str(mine), *options]) == status
-        head, _, lines = capfd.readouterr().out.partition("it does not fit the template attitude_control:\n")
+        head, _, lines = shell(["diagram", "check", str(mine), *options], status).out.partition(
+            "it does not fit the template attitude_control:\n"
+        )
         assert head.startswith("it compiles")
         assert "  the input theta is real in deg: make it real in rad" in lines
-    assert run(["diagram", "check", str(mine), "--json", "--template", "motor_control"]) == 1
-    fit = json.loads(capfd.readouterr().out)["template"]
+    fit = shell(["diagram", "check", str(mine), "--json", "--template", "motor_control"], 1).json["template"]
     assert (fit["name"], fit["fits"]) == ("motor_control", False)
     assert "the input gyro_y is missing: add real in rad/s, measured pitch rate, its bias still in it" in fit["faults"]
-    assert run(["diagram", "check", loop, "--template", "attitude"]) == 2
-    assert "there are: attitude_control" in capfd.readouterr().err
+    assert "there are: attitude_control" in shell(["diagram", "check", loop, "--template", "attitude"], 2).err
 
 
-def test_code_shows_both_sides(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["diagram", "code", loop]) == 0
-    out = capfd.readouterr().out
+def test_code_shows_both_sides(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], shell: Shell) -> None:
+    out = shell(["diagram", "code", loop]).out
     assert re.search(r"^gain +\d+ +/\* gain: gain \*/$", out, re.MULTILINE)
     assert "left out, as nobody needs them: idle" in out
-    assert run(["diagram", "code", loop, "--block", "memory", "--precision", "float32"]) == 0
-    out = capfd.readouterr().out
+    out = shell(["diagram", "code", loop, "--block", "memory", "--precision", "float32"]).out
     assert "s->memory_x = " in out
     assert "error" not in out.replace("error_y", "")
     page, source = tmp_path / "loop.html", tmp_path / "loop.c"
     assert run(["diagram", "code", loop, "--html", str(page), "--out", str(source)]) == 0
     lines = source.read_text().splitlines()
     capfd.readouterr()
-    assert run(["diagram", "code", loop, "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+    found = shell(["diagram", "code", loop, "--json"]).json
     ((first, last),) = found["blocks"]["gain"]["lines"]["step"]
     assert "gain_y = " in "".join(lines[first - 1 : last])
     assert found["lines"] == len(lines)
     assert run(["diagram", "code", loop, "--block", "nothing"]) == 2
 
 
-def test_export_writes_a_header_and_its_c(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_export_writes_a_header_and_its_c(loop: str, tmp_path: Path, shell: Shell) -> None:
     folder = tmp_path / "firmware" / "control"
-    assert run(["diagram", "export", loop, str(folder), "--json", "--precision", "float32", "--log", "memory.y"]) == 0
-    said = json.loads(capfd.readouterr().out)
+    said = shell(["diagram", "export", loop, str(folder), "--json", "--precision", "float32", "--log", "memory.y"]).json
     assert said["files"] == [str(folder / "loop.h"), str(folder / "loop.c")]
     assert said["sizes"] == {"real": 4, "P": 12, "S": 8, "U": 4, "Y": 8}
     assert "float memory_y; /* memory.y */" in (folder / "loop.h").read_text()
-    assert run(["diagram", "export", loop, str(folder)]) == 2
-    assert "--force" in capfd.readouterr().err
+    assert "--force" in shell(["diagram", "export", loop, str(folder)], 2).err
     assert run(["diagram", "export", loop, str(folder), "--name", "again", "--tables"]) == 0
     assert "extern const again_Entry again_parameters[];" in (folder / "again.h").read_text()
-    assert run(["diagram", "export", loop, f"{tmp_path / 'loop.json'}/firmware"]) == 2
-    assert "choose another folder" in capfd.readouterr().err
+    assert "choose another folder" in shell(["diagram", "export", loop, f"{tmp_path / 'loop.json'}/firmware"], 2).err
 
 
-def test_fmu_writes_a_file_that_ends_in_fmu(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_fmu_writes_a_file_that_ends_in_fmu(loop: str, tmp_path: Path, shell: Shell) -> None:
     file = tmp_path / "loop.fmu"
-    assert run(["diagram", "fmu", loop, str(file), "--fmi", "2.0", "--log", "memory.y", "--json"]) == 0
-    said = json.loads(capfd.readouterr().out)
+    said = shell(["diagram", "fmu", loop, str(file), "--fmi", "2.0", "--log", "memory.y", "--json"]).json
     assert (said["fmi"], said["inputs"], said["outputs"]) == ("2.0", 1, 2)
     with zipfile.ZipFile(file) as archive:
         assert b'name="memory.y"' in archive.read("modelDescription.xml")
-    assert run(["diagram", "fmu", loop, str(file)]) == 2
-    assert "--force" in capfd.readouterr().err
-    assert run(["diagram", "fmu", loop, str(tmp_path / "loop.zip")]) == 2
-    assert "name it loop.fmu" in capfd.readouterr().err
+    assert "--force" in shell(["diagram", "fmu", loop, str(file)], 2).err
+    assert "name it loop.fmu" in shell(["diagram", "fmu", loop, str(tmp_path / "loop.zip")], 2).err
 
 
 def test_the_page_is_self_contained_and_complete(loop: str, tmp_path: Path) -> None:
@@ -174,43 +157,39 @@ def test_the_page_is_self_contained_and_complete(loop: str, tmp_path: Path) -> N
     assert reader.buttons <= reader.marks
 
 
-def test_render_writes_a_picture(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_render_writes_a_picture(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], shell: Shell) -> None:
     file = tmp_path / "loop.svg"
     assert run(["diagram", "render", loop, "--out", str(file)]) == 0
     ElementTree.parse(file)
     capfd.readouterr()
-    assert run(["diagram", "render", loop]) == 0
-    assert capfd.readouterr().out == file.read_text()
+    assert shell(["diagram", "render", loop]).out == file.read_text()
     assert run(["diagram", "render", loop, "--path", "gain"]) == 2
 
 
-def test_linearize_prints_the_model(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["diagram", "linearize", loop, "--dt", "0.01", "--at", '{"k": 0.5}', "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+def test_linearize_prints_the_model(loop: str, tmp_path: Path, shell: Shell) -> None:
+    found = shell(["diagram", "linearize", loop, "--dt", "0.01", "--at", '{"k": 0.5}', "--json"]).json
     # y = k (r - m), m' = y
     assert (found["A"], found["B"], found["C"], found["D"]) == ([[-0.5]], [[0.5]], [[-0.5]], [[0.5]])
     assert found["states"] == ["memory.x"]
     assert found["dt"] == 0.01
     point = tmp_path / "point.json"
     point.write_text('{"r": 3.0}')
-    assert run(["diagram", "linearize", loop, "--at", str(point), "--trim", "--json"]) == 0
-    assert json.loads(capfd.readouterr().out)["point"]["memory.x"] == pytest.approx(2.0, abs=1e-12)
-    assert run(["diagram", "linearize", loop, "--input", "gain.y", "--output", "gain.y"]) == 0
-    out = capfd.readouterr().out
+    assert shell(["diagram", "linearize", loop, "--at", str(point), "--trim", "--json"]).json["point"][
+        "memory.x"
+    ] == pytest.approx(2.0, abs=1e-12)
+    out = shell(["diagram", "linearize", loop, "--input", "gain.y", "--output", "gain.y"]).out
     assert "1 states, 1 inputs, 1 outputs" in out
     assert run(["diagram", "linearize", loop, "--at", "{"]) == 2
     assert run(["diagram", "linearize", loop, "--at", str(tmp_path / "none.json")]) == 2
-    assert run(["diagram", "linearize", loop, "--at", '{"q": 1}']) == 2
-    assert "there is no parameter 'q'" in capfd.readouterr().err
+    assert "there is no parameter 'q'" in shell(["diagram", "linearize", loop, "--at", '{"q": 1}'], 2).err
 
 
-def test_linearize_names_states_and_inputs_without_effect(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_linearize_names_states_and_inputs_without_effect(tmp_path: Path, shell: Shell) -> None:
     file = tmp_path / "held.json"
     d = pitch_rate().diagram
     d.input("spare")
     file.write_text(to_json(d))
-    assert run(["diagram", "linearize", str(file)]) == 0
-    out = capfd.readouterr().out
+    out = shell(["diagram", "linearize", str(file)]).out
     assert "x[k+1], one step is 0.004 s; 6 states, 2 inputs, 2 outputs" in out
     assert "plant.past[k-1]  " in out
     assert "\\[" not in out
@@ -218,7 +197,6 @@ def test_linearize_names_states_and_inputs_without_effect(tmp_path: Path, capfd:
     assert "remark: spare: this input has no effect on any output" in out
 
 
-def test_a_picture_is_svg_and_is_called_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["diagram", "render", "pid-attitude", "--out", str(tmp_path / "picture.png")]) == 2
-    assert "picture.svg" in capfd.readouterr().err
+def test_a_picture_is_svg_and_is_called_so(tmp_path: Path, shell: Shell) -> None:
+    assert "picture.svg" in shell(["diagram", "render", "pid-attitude", "--out", str(tmp_path / "picture.png")], 2).err
     assert not any(tmp_path.iterdir())

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
 
-from twodof.cli.app import run
+from tests.cli.program import Shell
 
 TESTS = """
 [[test]]
@@ -31,27 +30,21 @@ def tests(tmp_path: Path) -> list[str]:
     return files
 
 
-def test_the_status_says_whether_the_tests_pass(tests: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_status_says_whether_the_tests_pass(tests: list[str], shell: Shell) -> None:
     fine, wrong = tests
-    assert run(["diagram", "test", "pid-attitude", fine, "--target", "reference"]) == 0
-    out = capfd.readouterr().out
+    out = shell(["diagram", "test", "pid-attitude", fine, "--target", "reference"]).out
     assert "  ok     gains: M rises to 0.1 before 0.05: at 0.04 s" in out
     assert out.endswith("1 of 1 tests passed\n")
-    assert run(["diagram", "test", "pid-attitude", fine, wrong, "--target", "reference"]) == 1
-    out = capfd.readouterr().out
+    out = shell(["diagram", "test", "pid-attitude", fine, wrong, "--target", "reference"], 1).out
     assert re.search(r"FAILED gains: M never above 0\.1: 0\.\d+ at 0\.04 s is above 0\.1 by 0\.0\d+; ", out)
     assert out.endswith("1 of 2 tests passed\n")
-    assert run(["diagram", "test", "pid-attitude", "nowhere.toml"]) == 2
-    assert "cannot be read" in capfd.readouterr().err
+    assert "cannot be read" in shell(["diagram", "test", "pid-attitude", "nowhere.toml"], 2).err
 
 
-def test_machines_get_json_junit_and_a_page(
-    tests: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_machines_get_json_junit_and_a_page(tests: list[str], tmp_path: Path, shell: Shell) -> None:
     junit, page = tmp_path / "junit.xml", tmp_path / "failed.html"
     arguments = ["diagram", "test", "pid-attitude", *tests, "--target", "reference", "--precision", "float32"]
-    assert run([*arguments, "--json", "--junit", str(junit), "--html", str(page)]) == 1
-    found = json.loads(capfd.readouterr().out)
+    found = shell([*arguments, "--json", "--junit", str(junit), "--html", str(page)], 1).json
     assert found["passed"] is False
     fine, wrong = found["files"].values()
     assert fine[0]["passed"] is True
@@ -66,8 +59,7 @@ def test_machines_get_json_junit_and_a_page(
     assert not re.search(
         r"(src|href)\s*=|https?:|url\(|@import", re.sub(r"xmlns[^ >]*|url\(#\w+\)|href=\"#\w+\"", "", text)
     )
-    assert run([*arguments, "--junit", str(junit)]) == 2
-    assert "there already" in capfd.readouterr().err
+    assert "there already" in shell([*arguments, "--junit", str(junit)], 2).err
 
 
 TABLE = """
@@ -82,11 +74,13 @@ at = "ticks"
 """
 
 
-def test_a_page_draws_what_a_table_expects(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_page_draws_what_a_table_expects(tmp_path: Path, shell: Shell) -> None:
     file, page = tmp_path / "table.toml", tmp_path / "failed.html"
     file.write_text(TABLE, encoding="utf-8")
-    assert run(["diagram", "test", "empty-attitude", str(file), "--target", "reference", "--html", str(page)]) == 1
-    assert "M as in table, within 0.01: 0 at 0.004 s is below 0.09 by 0.09; 8 ticks" in capfd.readouterr().out
+    assert (
+        "M as in table, within 0.01: 0 at 0.004 s is below 0.09 by 0.09; 8 ticks"
+        in shell(["diagram", "test", "empty-attitude", str(file), "--target", "reference", "--html", str(page)], 1).out
+    )
     text = page.read_text(encoding="utf-8")
     assert "<figcaption><b>a &lt;b&gt; &amp; &quot;c&quot;: M as in table" in text
     drawn = text[text.index("<svg") : text.index("</svg>") + 6]
@@ -95,19 +89,16 @@ def test_a_page_draws_what_a_table_expects(tmp_path: Path, capfd: pytest.Capture
     assert drawn.count("stroke: var(--measured)") == 1
 
 
-def test_coverage_lists_missing_sides_and_can_fail(tests: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+def test_coverage_lists_missing_sides_and_can_fail(tests: list[str], shell: Shell) -> None:
     arguments = ["diagram", "test", "pid-attitude", tests[0], "--target", "reference"]
-    assert run([*arguments, "--coverage"]) == 0
-    out = capfd.readouterr().out
+    out = shell([*arguments, "--coverage"]).out
     counts = re.search(r"coverage: (\d+) of the (\d+) sides of \d+ decisions were taken, ([\d.]+) %", out)
     assert counts
     number, sides, percent = int(counts[1]), int(counts[2]), float(counts[3])
     assert percent == pytest.approx(100.0 * number / sides, abs=0.05)
     assert len(out.partition("never taken:\n")[2].splitlines()) == 1 + sides - number  # with the head of the table
     assert re.search(r"^pid +output M +u\.clear +true", out, re.MULTILINE)
-    assert run([*arguments, "--coverage-min", "100"]) == 1
-    assert "FAILED coverage: below 100 %" in capfd.readouterr().out
-    assert run([*arguments, "--coverage-min", str(percent - 1.0), "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)["coverage"]
+    assert "FAILED coverage: below 100 %" in shell([*arguments, "--coverage-min", "100"], 1).out
+    found = shell([*arguments, "--coverage-min", str(percent - 1.0), "--json"]).json["coverage"]
     assert found["sides"] == sides
     assert sum(len(row["taken"]) for row in found["decisions"]) == number

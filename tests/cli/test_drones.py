@@ -1,13 +1,11 @@
 """`twodof drones`: what is heard is listed, for people and for machines; an empty list is not an error."""
 
-import json
-
 import pytest
 
+from tests.cli.program import Shell
 from tests.gcs.virtual import on_board
 from tests.patience import patiently
 from twodof.cli import connection
-from twodof.cli.app import run
 from twodof.gcs.discovery import FoundDrone, discover
 
 
@@ -38,11 +36,10 @@ def patient(only: list[str], monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return only
 
 
-def test_a_drone_is_listed(patient: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drone_is_listed(patient: list[str], shell: Shell) -> None:
     with on_board(index=8) as there:
         patient.append(there.url)
-        assert run(["drones", "--timeout", "0.1", "--json"]) == 0
-        (row,) = json.loads(capsys.readouterr().out)
+        (row,) = shell(["drones", "--timeout", "0.1", "--json"]).json
         assert (row["system"], row["url"], row["mode"], row["armed"], row["autopilot"]) == (
             9,
             there.url,
@@ -52,13 +49,11 @@ def test_a_drone_is_listed(patient: list[str], capsys: pytest.CaptureFixture[str
         )
         assert (row["controller"], row["changed"]) == ("stock", 0)
         there.drone.assembly.store.update({"ATT_KP": 9.0, "RATE_KP": 0.08})
-        assert run(["drones", "--timeout", "0.1"]) == 0
-        said = " ".join(capsys.readouterr().out.split())
+        said = " ".join(shell(["drones", "--timeout", "0.1"]).out.split())
         assert there.url in said
         assert "flies the stock controllers; 2 parameters differ from their defaults" in said
 
 
-def test_nobody_is_there(only: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_nobody_is_there(only: list[str], shell: Shell) -> None:
     only.append("mem://nobody")
-    assert run(["drones", "--timeout", "0.1"]) == 0
-    assert "no drone was heard within 0.1 s" in capsys.readouterr().out
+    assert "no drone was heard within 0.1 s" in shell(["drones", "--timeout", "0.1"]).out

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twodof.cli.app import run
+from tests.cli.program import Shell
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
@@ -50,12 +50,11 @@ def pitch_logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return made[0], made[1]
 
 
-def answer(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict:
-    assert run([*arguments, "--json"]) == 0
-    return json.loads(capfd.readouterr().out)
+def answer(arguments: list[str], shell: Shell) -> dict:
+    return shell([*arguments, "--json"]).json
 
 
-def test_values_fix_what_is_not_estimated(pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]) -> None:
+def test_values_fix_what_is_not_estimated(pitch_logs: tuple[Path, Path], shell: Shell) -> None:
     arguments = ["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"]
     arguments += [
         "--model",
@@ -69,17 +68,17 @@ def test_values_fix_what_is_not_estimated(pitch_logs: tuple[Path, Path], capfd: 
         "--value",
         "xi=0.0836",
     ]
-    found = answer(arguments, capfd)
+    found = answer(arguments, shell)
     assert set(found["estimates"]) == {"mu", "tau"}
     assert found["fixed"]["w_n"] == 3.437
     assert found["estimates"]["mu"]["value"] == pytest.approx(358.5, rel=0.01)
 
 
-def test_a_flight_is_known_by_its_experiment(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_flight_is_known_by_its_experiment(tmp_path: Path, shell: Shell) -> None:
     flight, log = Laboratory("paper").fly("velocity-doublet", 1), str(tmp_path / "flight.mcap")
     write_log(flight.log, log)
     found = [
-        answer(["identify", log, *more], capfd)
+        answer(["identify", log, *more], shell)
         for more in ([], ["--experiment", "velocity-doublet"], ["--experiment", "velocity"])
     ]
     assert found[0]["experiment"] == "velocity"
@@ -116,57 +115,55 @@ def test_what_cannot_be_identified_is_said(
     arguments: list[str],
     status: int,
     says: str,
-    capfd: pytest.CaptureFixture[str],
+    shell: Shell,
 ) -> None:
-    assert run(["identify", str(pitch_logs[0]), *arguments]) == status
-    out, err = capfd.readouterr()
+    out, err = shell(["identify", str(pitch_logs[0]), *arguments], status)
     assert out == ""
     assert says in err
 
 
 def test_a_search_without_convergence_is_reported(
-    pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    pitch_logs: tuple[Path, Path], shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fit that stops short is one whose iterations ran out; the command must not pass it off as an answer."""
     monkeypatch.setattr(ready_made, "fit", lambda *a, **k: replace(fit(*a, **k), converged=False))
     arguments = ["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2", "--json"]
-    assert run(arguments) == 1
-    out, err = capfd.readouterr()
+    out, err = shell(arguments, 1)
     assert json.loads(out)["converged"] is False
     assert "did not converge" in err
 
 
-def test_poles_of_the_real_drone_by_hand(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_poles_of_the_real_drone_by_hand(flight_data: Path, shell: Shell) -> None:
     """The free response's first swings pass zero every 1.04 to 1.17 s; xi by the paper's rule is .18 +- .03."""
     arguments = ["identify", str(flight_data / "doublet-0.03.mat"), "--experiment", "doublet", "--method", "simple"]
-    found = answer([*arguments, "--impulse", str(flight_data / "free-response-impulse.mat")], capfd)
+    found = answer([*arguments, "--impulse", str(flight_data / "free-response-impulse.mat")], shell)
     assert 2.0 * 1.04 < found["free_response"]["period"] < 2.0 * 1.17
     assert found["model"]["xi"] == pytest.approx(0.18, abs=0.03)
 
 
-def test_python_and_the_command_find_the_same(pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]) -> None:
+def test_python_and_the_command_find_the_same(pitch_logs: tuple[Path, Path], shell: Shell) -> None:
     """No number of another drone is held unless one asks for it: w_n and xi are found too, or come from an impulse."""
-    found = answer(["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"], capfd)
+    found = answer(["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"], shell)
     by_script = fit(pitch_rate(lag=True), cut(read_log(pitch_logs[1]), "doublet", (0.0, 2.0)))
     assert found["estimates"] == json.loads(by_script.to_json())["estimates"]
     assert {"w_n", "xi"} <= set(found["estimates"])
 
 
 @pytest.mark.long
-def test_several_flights_say_how_far_they_spread(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_several_flights_say_how_far_they_spread(tmp_path: Path, shell: Shell) -> None:
     """Gusts push the rig `lab`, and output error looks for its noise at the sensor: one flight claims too much."""
     laboratory, logs = Laboratory("lab"), list[str]()
     for seed in (1, 2, 3, 4):
         (tmp_path / f"run-{seed}").mkdir()
         logs.append(str(tmp_path / f"run-{seed}" / "doublet.mat"))
         write_log(laboratory.fly("doublet", seed).log, logs[-1])
-    alone = answer(["identify", logs[0], "--experiment", "doublet", "--disturbance", "white"], capfd)
+    alone = answer(["identify", logs[0], "--experiment", "doublet", "--disturbance", "white"], shell)
     assert any("wanders" in remark for remark in alone["remarks"])
-    together = answer(["identify", *logs, "--experiment", "doublet", "--disturbance", "white"], capfd)
+    together = answer(["identify", *logs, "--experiment", "doublet", "--disturbance", "white"], shell)
     assert [*together["flights"]] == logs, "files of one name are told apart by their folders"
     mu = together["repeated"]["mu"]
     assert mu["spread"] > 2.0 * mu["claimed"]
-    pushed = answer(["identify", *logs, "--experiment", "doublet"], capfd)
+    pushed = answer(["identify", *logs, "--experiment", "doublet"], shell)
     assert {flight["disturbance"]["kind"] for flight in pushed["flights"].values()} == {"input"}
     mu = pushed["repeated"]["mu"]
     # With the gust in the model one flight claims what they spread by; of four, chance leaves a factor of 2.5.
@@ -181,24 +178,21 @@ def test_several_flights_say_how_far_they_spread(tmp_path: Path, capfd: pytest.C
     ],
 )
 def test_several_flights_are_compared_with_each_other_only(
-    pitch_logs: tuple[Path, Path], more: list[str], says: str, capfd: pytest.CaptureFixture[str]
+    pitch_logs: tuple[Path, Path], more: list[str], says: str, shell: Shell
 ) -> None:
     arguments = ["identify", *map(str, pitch_logs), "--experiment", "doublet"]
-    assert run([*arguments, *more]) == 2
-    assert says in capfd.readouterr().err
+    assert says in shell([*arguments, *more], 2).err
     again = pitch_logs[1].parent / ".." / pitch_logs[1].parent.name / pitch_logs[1].name
-    assert run(["identify", str(pitch_logs[1]), str(again), "--experiment", "doublet"]) == 2
-    assert "named twice" in capfd.readouterr().err
+    assert "named twice" in shell(["identify", str(pitch_logs[1]), str(again), "--experiment", "doublet"], 2).err
 
 
 @pytest.mark.long
-def test_the_experiment_of_an_unnamed_log_is_found(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_experiment_of_an_unnamed_log_is_found(flight_data: Path, shell: Shell) -> None:
     log = str(flight_data / "doublet-0.03.mat")
-    assert run(["identify", log, "--json"]) == 0
-    found, said = capfd.readouterr()
+    found, said = shell(["identify", log, "--json"])
     assert json.loads(found)["experiment"] == "doublet"
     assert "looks like the experiment 'doublet'" in said
-    named = answer(["identify", log, "--experiment", "doublet"], capfd)
+    named = answer(["identify", log, "--experiment", "doublet"], shell)
     assert json.loads(found) == named
 
 
@@ -210,14 +204,14 @@ def prbs(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(log)
 
 
-def test_in_closed_loop_other_unknowns_are_held(prbs: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_in_closed_loop_other_unknowns_are_held(prbs: str, shell: Shell) -> None:
     asked = ["identify", prbs, "--estimate", "mu", "--estimate", "dead_time"]
-    found = answer(asked, capfd)
+    found = answer(asked, shell)
     held = {name: found["fixed"][name] for name in ("w_n", "xi", "lag")}
     assert held == {"w_n": 2.28, "xi": 0.05, "lag": 0.012}
     # The rig's rotors lag by .3 ms more, and a lag held .3 ms too short makes mu .7 % low.
     rig, log = load_rig("lab").snapshot(), read_log(prbs)
-    found = answer([*asked, "--value", f"lag={rig['lag']}"], capfd)
+    found = answer([*asked, "--value", f"lag={rig['lag']}"], shell)
     record = cut(log, "attitude")
     truth = true_values(rig, "attitude", log, record.start, float(record.time[-1]))["mu"]
     # Held at the paper's drone, 3.4, the pole makes mu .6 % low.
@@ -225,20 +219,17 @@ def test_in_closed_loop_other_unknowns_are_held(prbs: str, capfd: pytest.Capture
 
 
 @pytest.mark.long
-def test_the_bode_of_closed_loops_uses_set_points(prbs: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_bode_of_closed_loops_uses_set_points(prbs: str, tmp_path: Path, shell: Shell) -> None:
     picture = tmp_path / "fit.svg"
     asked = ["identify", prbs, "--window", "19", "21", "--plot", str(picture), "--reference", "theta0"]
-    assert run(asked) == 0
-    assert "one sample ahead" in capfd.readouterr().out
+    assert "one sample ahead" in shell(asked).out
     assert picture.is_file()
 
 
 @pytest.mark.long
-def test_a_real_flight_is_fitted_in_pieces(
-    flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_real_flight_is_fitted_in_pieces(flight_data: Path, tmp_path: Path, shell: Shell) -> None:
     log, picture = flight_data / "attitude-steps-10deg-student.mat", tmp_path / "fit.png"
-    real = answer(["identify", str(log), "--plot", str(picture)], capfd)
+    real = answer(["identify", str(log), "--plot", str(picture)], shell)
     assert picture.is_file()
     # The log lost the moment twice.
     assert [one["record"].rpartition(", ")[2] for one in real["identification"]] == ["piece 1", "piece 2", "piece 3"]
@@ -247,18 +238,21 @@ def test_a_real_flight_is_fitted_in_pieces(
     assert all(one["fit_percent"] < 0.0 < 90.0 < one["fit_percent_ahead"] for one in real["identification"])
 
 
-def test_a_real_closed_loop_flight_converges(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_real_closed_loop_flight_converges(flight_data: Path, shell: Shell) -> None:
     # Its damping comes out negative, and it swings about poles that the rotors change: those of a free response are
     # others. Exit status 0 says that the search has ended, which it once missed by a hair.
-    found = answer(["identify", str(flight_data / "rate-doublets-30dps-student.mat")], capfd)
+    found = answer(["identify", str(flight_data / "rate-doublets-30dps-student.mat")], shell)
     assert found["converged"]
     assert not any("free response" in remark for remark in found["remarks"])
 
 
-def test_flights_of_different_machines_are_refused(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_flights_of_different_machines_are_refused(flight_data: Path, shell: Shell) -> None:
     logs = [str(flight_data / f"{name}.mat") for name in ("rate-doublets-30dps-student", "velocity-doublets-0.25")]
-    assert run(["identify", *logs, "--experiment", "attitude"]) == 1
-    assert "different machines: 'lab' with its cart in rings and 'lab' with its cart free" in capfd.readouterr().err
+    assert (
+        "different machines: 'lab' with its cart in rings and 'lab' with its cart free"
+        in shell(["identify", *logs, "--experiment", "attitude"], 1).err
+    )
     # A flight to validate on has the cart of the other as well.
-    assert run(["identify", logs[0], "--validate", logs[1], "--experiment", "attitude"]) == 1
-    assert "different machines" in capfd.readouterr().err
+    assert (
+        "different machines" in shell(["identify", logs[0], "--validate", logs[1], "--experiment", "attitude"], 1).err
+    )

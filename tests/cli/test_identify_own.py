@@ -1,6 +1,5 @@
 """`twodof identify` of an own structure on the columns of tables, and its plot."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
+from tests.cli.program import Shell
 from twodof.blocks import Diagram
 from twodof.blocks.library import FirstOrder
 from twodof.cli.app import run
@@ -66,15 +66,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def answer(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict[str, dict[str, dict[str, float]]]:
-    assert run(["identify", *arguments, "--json"]) == 0
-    found: dict[str, dict[str, dict[str, float]]] = json.loads(capfd.readouterr().out)
+def answer(arguments: list[str], shell: Shell) -> dict[str, dict[str, dict[str, float]]]:
+    found: dict[str, dict[str, dict[str, float]]] = shell(["identify", *arguments, "--json"]).json
     return found
 
 
-def test_every_form_of_table_gives_one_result(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_every_form_of_table_gives_one_result(folder: Path, shell: Shell) -> None:
     found = [
-        answer([str(folder / table), "--structure", str(folder / structure), *COLUMNS], capfd)["estimates"]
+        answer([str(folder / table), "--structure", str(folder / structure), *COLUMNS], shell)["estimates"]
         for table, structure in (
             ("m.csv", "model.py:structure"),
             ("m.parquet", "model.py"),
@@ -87,43 +86,43 @@ def test_every_form_of_table_gives_one_result(folder: Path, capfd: pytest.Captur
         assert [one[name]["value"] for one in found] == pytest.approx([found[0][name]["value"]] * 4, rel=1e-6)
 
 
-def test_a_period_stands_for_time_stamps(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_period_stands_for_time_stamps(folder: Path, shell: Shell) -> None:
     columns = ["--structure", str(folder / "model.py"), *COLUMNS[:-2]]
-    stamped = answer([str(folder / "m.csv"), *columns, "--time", "stamp"], capfd)["estimates"]
+    stamped = answer([str(folder / "m.csv"), *columns, "--time", "stamp"], shell)["estimates"]
     for table, period in (("m.csv", "0.01"), ("m.parquet", "0.01"), ("m.mat", "Ts"), ("m.parquet", "dt")):
-        found = answer([str(folder / table), *columns, "--period", period], capfd)["estimates"]
+        found = answer([str(folder / table), *columns, "--period", period], shell)["estimates"]
         assert found["gain"]["value"] == pytest.approx(stamped["gain"]["value"], rel=1e-6), table
 
 
-def test_a_value_is_held_and_another_file_validates(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_value_is_held_and_another_file_validates(folder: Path, shell: Shell) -> None:
     arguments = [str(folder / "m.csv"), "--structure", str(folder / "model.json"), *COLUMNS, "--estimate", "gain"]
     arguments += ["--value", "time_constant=0.35", "--window", "1", "4", "--validate", str(folder / "m.parquet")]
-    found = answer(arguments, capfd)
+    found = answer(arguments, shell)
     assert list(found["estimates"]) == ["gain"]
     assert found["fixed"] == {"time_constant": 0.35}
     assert len(found["validation"]) == 1
 
 
-def test_a_prior_is_weighed_against_the_data(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_prior_is_weighed_against_the_data(folder: Path, shell: Shell) -> None:
     arguments = [str(folder / "m.csv"), "--structure", str(folder / "model.py:structure"), *COLUMNS]
-    plain = answer(arguments, capfd)["estimates"]["gain"]
+    plain = answer(arguments, shell)["estimates"]["gain"]
     mean = plain["value"] + 2.0 * plain["sigma"]
     known = f"gain={mean},{plain['sigma']}"
-    weighed = answer([*arguments, "--prior", known], capfd)
+    weighed = answer([*arguments, "--prior", known], shell)
     assert weighed["prior"] == {"gain": [mean, plain["sigma"]]}
     # Two sources of one weight meet half-way, but for the noise, which is estimated anew.
     middle = plain["value"] + plain["sigma"]
     assert weighed["estimates"]["gain"]["value"] == pytest.approx(middle, abs=0.1 * plain["sigma"])
     # What a prior speaks of is estimated.
-    both = answer([*arguments, "--estimate", "time_constant", "--prior", known], capfd)["estimates"]
+    both = answer([*arguments, "--estimate", "time_constant", "--prior", known], shell)["estimates"]
     assert list(both) == ["time_constant", "gain"]
 
 
-def test_models_are_named_and_compared(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_models_are_named_and_compared(folder: Path, shell: Shell) -> None:
     columns = ["--input", "volt", "--output", "tacho", "--time", "stamp"]
     pair = [str(folder / "m.csv"), str(folder / "m.parquet"), "--merge"]
     compared = ["--compare", "arx:1,1,1", "--compare", "process:P1", "--validate", str(folder / "m.mat")]
-    found = answer([*pair, "--model", "oe:1,1,1", *columns, *compared], capfd)
+    found = answer([*pair, "--model", "oe:1,1,1", *columns, *compared], shell)
     pole = np.exp(-DT / TIME_CONSTANT)
     for name, truth in (("f1", -pole), ("b1", GAIN * (1.0 - pole))):
         assert abs(found["estimates"][name]["value"] - truth) < 4.0 * found["estimates"][name]["sigma"]
@@ -132,19 +131,19 @@ def test_models_are_named_and_compared(folder: Path, capfd: pytest.CaptureFixtur
     assert {row["model"] for row in rows} == {"oe:1,1,1", "arx:1,1,1", "process:P1"}
     assert found["linear"]["A"] == [[pytest.approx(pole, abs=0.01)]]
     # Twice the time from step to step: the pole is squared.
-    slow = answer([str(folder / "m.csv"), "--model", "oe:1,1,1", *columns, "--detrend", "--resample", "0.02"], capfd)
+    slow = answer([str(folder / "m.csv"), "--model", "oe:1,1,1", *columns, "--detrend", "--resample", "0.02"], shell)
     assert slow["linear"]["dt"] == pytest.approx(2.0 * DT)
     assert slow["estimates"]["f1"]["value"] == pytest.approx(-(pole**2), abs=0.01)
 
 
-def test_a_ready_made_structure_fits_columns_too(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_ready_made_structure_fits_columns_too(folder: Path, shell: Shell) -> None:
     arguments = [str(folder / "m.csv"), "--model", "velocity", "--input", "theta=volt", "--output", "v=back"]
-    found = answer([*arguments, "--time", "stamp", "--estimate", "p_v", "--estimate", "k_v"], capfd)
+    found = answer([*arguments, "--time", "stamp", "--estimate", "p_v", "--estimate", "k_v"], shell)
     assert found["estimates"]["p_v"]["value"] == pytest.approx(1.0 / TIME_CONSTANT, rel=0.02)
 
 
 @pytest.mark.long
-def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, shell: Shell) -> None:
     arguments = ["identify", str(folder / "m.csv"), "--structure", str(folder / "model.py:structure"), *COLUMNS]
     for suffix, head in ((".png", b"\x89PNG"), (".svg", b"<?xml"), (".html", b"<!doctype html>")):
         path = folder / f"fit{suffix}"
@@ -157,8 +156,7 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
                 assert word in text, word
             assert "measured, 95 %" in text
             assert "within the 99 % band" in text
-    assert run([*arguments, "--plot", str(folder / "fit.png")]) == 2
-    assert "is there already" in capfd.readouterr().err
+    assert "is there already" in shell([*arguments, "--plot", str(folder / "fit.png")], 2).err
 
 
 @pytest.mark.parametrize(

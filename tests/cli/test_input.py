@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from tests.cli.program import Shell
 from twodof.cli.app import run
 
 
@@ -27,9 +28,8 @@ def test_a_pipe_is_read_as_a_file(command: list[str], remark: str, capfd: pytest
     assert remark in capfd.readouterr().err
 
 
-def test_long_standard_input_is_refused(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_standard_input_is_refused(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(bytes(20 << 20))))
-    assert run(["design", "controller", "-", "--out", str(tmp_path / "made.json")]) == 2
-    assert "more than 16777216 bytes" in capfd.readouterr().err
+    assert (
+        "more than 16777216 bytes" in shell(["design", "controller", "-", "--out", str(tmp_path / "made.json")], 2).err
+    )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.program import Shell
 from tests.fcu.program import twodof_fcu
 from tests.patience import PATIENCE_S
 from twodof.cli.app import run
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.long
-def test_kill_stops_another_pilots_drone(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_kill_stops_another_pilots_drone(tmp_path: Path, capfd: pytest.CaptureFixture[str], shell: Shell) -> None:
     file = tmp_path / "drone.key"
     assert run(["key", str(file), "--json"]) == 0
     made = read_key(file)
@@ -26,8 +27,7 @@ def test_kill_stops_another_pilots_drone(tmp_path: Path, capfd: pytest.CaptureFi
             pilot.arm()
             pilot.set_pitch(0.0, thrust=0.4)
             capfd.readouterr()
-            assert run(["kill", "--url", url, "--key", str(file), "--json"]) == 0
-            said = json.loads(capfd.readouterr().out)
+            said = shell(["kill", "--url", url, "--key", str(file), "--json"]).json
             assert (said["was_armed"], said["held"]) == (True, True)
             with pytest.raises(Rejected, match="the drone was killed"):
                 pilot.run(PATIENCE_S)  # what streams set-points is told so
@@ -39,25 +39,22 @@ def test_kill_stops_another_pilots_drone(tmp_path: Path, capfd: pytest.CaptureFi
         ):
             again.arm()
         capfd.readouterr()
-        assert run(["kill", "--url", url, "--key", str(file)]) == 0
-        said_again = capfd.readouterr().out
+        said_again = shell(["kill", "--url", url, "--key", str(file)]).out
         assert "it was not armed" in said_again
         assert f"held so until released: twodof kill --release --url {url}" in said_again
         for was in (True, False):
-            assert run(["kill", "--release", "--url", url, "--key", str(file), "--json"]) == 0
-            said = json.loads(capfd.readouterr().out)
+            said = shell(["kill", "--release", "--url", url, "--key", str(file), "--json"]).json
             assert said == {"url": url, "was_held": was, "held": False}
         with Drone.connect(url, key=made) as again:
             again.arm()
 
 
-def test_a_key_is_never_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_key_is_never_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[str], shell: Shell) -> None:
     file = tmp_path / "drone.key"
     assert run(["key", str(file)]) == 0
     before = file.read_bytes()
     said = capfd.readouterr().out
     assert read_key(file).fingerprint in said
     assert before.strip().decode() not in said
-    assert run(["key", str(file)]) == 2
-    assert "is there already" in capfd.readouterr().err
+    assert "is there already" in shell(["key", str(file)], 2).err
     assert file.read_bytes() == before

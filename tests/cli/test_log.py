@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.cli.program import Shell
 from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import write_log
@@ -27,14 +27,13 @@ NOTED: list[tuple[dict[str, Any], list[str]]] = [
 
 @pytest.mark.parametrize(("noted", "shown"), NOTED)
 def test_notes_of_other_programs_are_shown_safely(
-    noted: dict[str, Any], shown: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    noted: dict[str, Any], shown: list[str], tmp_path: Path, shell: Shell
 ) -> None:
     """Nor does it command the terminal."""
     path = tmp_path / "theirs.mcap"
     gyr = Channel(0.004 * np.arange(10), np.zeros((10, 3)), "rad/s", ("x", "y", "z"), "gyr")
     write_log(FlightLog({"gyr": gyr}, noted), path)
-    assert run(["log", "info", str(path)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = shell(["log", "info", str(path)]).out.splitlines()
     assert [line for line in lines if line.startswith(("controller", "broken off", "     "))] == shown
 
 
@@ -45,9 +44,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_log_is_drawn_beside_itself(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["log", "plot", str(log), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+def test_a_log_is_drawn_beside_itself(log: Path, shell: Shell) -> None:
+    said = shell(["log", "plot", str(log), "--json"]).json
     assert said == {
         "file": str(log.with_suffix(".png")),
         "notes": ["the cart stands still: position and velocity are left out"],
@@ -74,11 +72,10 @@ def test_topics_come_between_commas_or_repeated(log: Path, tmp_path: Path) -> No
     ],
 )
 def test_what_cannot_be_drawn_is_refused(
-    log: Path, options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    log: Path, options: list[str], said: str, tmp_path: Path, shell: Shell
 ) -> None:
     out = [] if "--out" in options else ["--out", str(tmp_path / "a.png")]
-    assert run(["log", "plot", str(log), *options, *out]) == 2
-    assert said in capsys.readouterr().err
+    assert said in shell(["log", "plot", str(log), *options, *out], 2).err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -89,38 +86,32 @@ def test_a_simulated_flight_is_drawn_at_once(tmp_path: Path) -> None:
     assert "<h1>attitude-steps on lab</h1>" in out.read_text()
 
 
-def test_an_unknown_log_is_refused_with_names(capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["log", "fetch", "nothing"]) == 2
-    error = capfd.readouterr().err
+def test_an_unknown_log_is_refused_with_names(shell: Shell) -> None:
+    error = shell(["log", "fetch", "nothing"], 2).err
     assert "no such public log" in error
     assert "doublet-0.03" in error
 
 
 def test_a_public_log_with_wrong_content_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     (tmp_path / "doublet-0.03.mat").write_bytes(b"something else")
     monkeypatch.setenv("TWODOF_FLIGHT_DATA", str(tmp_path))
-    assert run(["log", "fetch", "doublet-0.03"]) == 2
-    said = capfd.readouterr().err
+    said = shell(["log", "fetch", "doublet-0.03"], 2).err
     assert "sha256" in said or "checksum" in said
 
 
-def test_what_is_at_hand_is_named(
-    flight_data: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_at_hand_is_named(flight_data: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     monkeypatch.setenv("TWODOF_FLIGHT_DATA", str(flight_data))
-    assert run(["log", "fetch", "doublet-0.03", "--json"]) == 0
-    assert json.loads(capfd.readouterr().out) == {"doublet-0.03": str(flight_data / "doublet-0.03.mat")}
+    assert shell(["log", "fetch", "doublet-0.03", "--json"]).json == {
+        "doublet-0.03": str(flight_data / "doublet-0.03.mat")
+    }
 
 
-def test_a_failed_download_exits_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_download_exits_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     for name in ("https_proxy", "HTTPS_PROXY"):
         monkeypatch.setenv(name, "http://127.0.0.1:9")
     for name in ("TWODOF_FLIGHT_DATA", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(tmp_path))
-    assert run(["log", "fetch", "doublet-0.03", "--json"]) == 1
-    assert json.loads(capfd.readouterr().out)["error"]["kind"] == "DownloadError"
+    assert shell(["log", "fetch", "doublet-0.03", "--json"], 1).json["error"]["kind"] == "DownloadError"
     assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,5 @@
 """`twodof margins`, `bode`, `rlocus` and `step` of one's own loop, from a fitted model, a diagram or as written."""
 
-import json
 import math
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from tests.cli.program import Shell
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain
 from twodof.cli.app import run
@@ -36,26 +36,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def answer(arguments: list[str], capfd: pytest.CaptureFixture[str], status: int = 0) -> dict[str, float]:
-    capfd.readouterr()
-    assert run([*arguments, "--json"]) == status
-    found: dict[str, float] = json.loads(capfd.readouterr().out)
+def answer(arguments: list[str], shell: Shell, status: int = 0) -> dict[str, float]:
+    found: dict[str, float] = shell([*arguments, "--json"], status).json
     return found
 
 
-def test_a_fitted_model_and_a_diagram_make_a_loop(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    found = answer(["margins", str(folder / "model.json"), str(folder / "gain.json")], capfd)
+def test_a_fitted_model_and_a_diagram_make_a_loop(folder: Path, shell: Shell) -> None:
+    found = answer(["margins", str(folder / "model.json"), str(folder / "gain.json")], shell)
     # 2 * .5 / (z - .9): L is -1 at z = -1 with 1.9 times the gain, and |z - .9| is 1 at cos = .405.
     assert found["dt"] == pytest.approx(0.1)
     assert found["gain_margin"] == pytest.approx(1.9, rel=1e-3)
     assert found["crossover"] == pytest.approx(math.acos(0.81 / 1.8) / 0.1, rel=1e-3)
-    again = answer(["margins", str(folder / "model.json"), "2"], capfd)
+    again = answer(["margins", str(folder / "model.json"), "2"], shell)
     assert again["gain_margin"] == found["gain_margin"]
-    assert answer(["margins", str(folder / "model.json"), "4"], capfd, status=1)["stable"] is False
+    assert answer(["margins", str(folder / "model.json"), "4"], shell, status=1)["stable"] is False
 
 
-def test_figures_of_a_step_are_those_in_closed_form(capfd: pytest.CaptureFixture[str]) -> None:
-    found = answer(["step", "1 / (s + 1)", "3"], capfd)["step"]
+def test_figures_of_a_step_are_those_in_closed_form(shell: Shell) -> None:
+    found = answer(["step", "1 / (s + 1)", "3"], shell)["step"]
     assert isinstance(found, dict)
     # T = 3 / (s + 4): .75 (1 - exp(-4 t)); the samples are exact, and the figures linear between them.
     assert found["final"] == pytest.approx(0.75)
@@ -89,7 +87,6 @@ def test_each_command_draws(command: str, period: list[str], folder: Path, tmp_p
         (["model.json", "1", "--period", "0.3"], "sample times"),
     ],
 )
-def test_mistakes_are_named(arguments: list[str], reason: str, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_are_named(arguments: list[str], reason: str, folder: Path, shell: Shell) -> None:
     own = [str(folder / one) if (folder / one).is_file() and one != "data.csv" else one for one in arguments]
-    assert run(["margins", *own]) == 2
-    assert reason in capfd.readouterr().err
+    assert reason in shell(["margins", *own], 2).err

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from tests.cli.program import Shell
 from tests.experiment.drones import drone_thread
-from twodof.cli import connection
-from twodof.cli.app import run
+from twodof.cli import output
 from twodof.gcs.drone import Drone
 
 pytestmark = pytest.mark.slow
@@ -19,12 +19,9 @@ PATH, NAME = "attitude_control.k_q", "TLA_K_Q"
 
 
 @pytest.mark.long
-def test_a_controller_is_tuned_from_the_shell(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_controller_is_tuned_from_the_shell(shell: Shell, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def said(*arguments: str, status: int = 0) -> Any:
-        assert run(["parameters", "--url", url, *arguments]) == status
-        told = capfd.readouterr()
+        told = shell(["parameters", "--url", url, *arguments], status)
         return told.err if status else json.loads(told.out) if "--json" in arguments else told.out
 
     with drone_thread(controllers=["lqr-attitude"]) as url:
@@ -32,7 +29,7 @@ def test_a_controller_is_tuned_from_the_shell(
         assert said("--changed", "--json")["parameters"] == []
         assert said("--changed") == "all are at their defaults\n"
         assert "…" not in said()
-        monkeypatch.setattr(connection, "table_console", lambda: Console(width=70))
+        monkeypatch.setattr(output, "table_console", lambda: Console(width=70))
         assert re.search(rf"{NAME} +0.108704\d+ +0.108704\d+ +0 +1  s/rad", said())  # in a narrow terminal too
         monkeypatch.undo()
         assert f"{NAME}    0.2  0.10870461     0     1  s/rad  {PATH}: " in said(f"{PATH}=0.2", "RATE_KP=0.07")
@@ -50,8 +47,9 @@ def test_a_controller_is_tuned_from_the_shell(
         assert said("--load", str(kept)) == ""
         assert said("RATE_KP", "--json")["parameters"][0]["value"] == pytest.approx(0.07)
         kept.write_text("2\t1\tRATE_KP\t0.07\t9\n")
-        assert run(["parameters", "--url", url, "--load", str(kept)]) == 0
-        assert capfd.readouterr().err.endswith("note: the file is of vehicle 2, this is vehicle 1\n")
+        assert shell(["parameters", "--url", url, "--load", str(kept)]).err.endswith(
+            "note: the file is of vehicle 2, this is vehicle 1\n"
+        )
         assert "is not a parameter" in said("--load", __file__, status=2)
 
         assert "2 is outside 0 to 1 s/rad" in said("RATE_KP=0.05", f"{PATH}=2", status=2)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.cli.program import Shell
 from twodof.cli.app import run
 from twodof.flight.starters import new_diagram
 from twodof.flightlog.files import read_log
@@ -13,12 +14,11 @@ from twodof.flightlog.files import read_log
 pytestmark = pytest.mark.slow
 
 
-def test_a_seed_determines_the_flight(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_seed_determines_the_flight(tmp_path: Path, shell: Shell) -> None:
     logs = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         file = tmp_path / f"{name}.parquet"
-        assert run(["simulate", "doublet", "--rig", "paper", "--seed", str(seed), "--out", str(file), "--json"]) == 0
-        found = json.loads(capfd.readouterr().out)
+        found = shell(["simulate", "doublet", "--rig", "paper", "--seed", str(seed), "--out", str(file), "--json"]).json
         assert found["good"] is True
         assert found["file"] == str(file)
         logs.append(read_log(file))
@@ -27,11 +27,10 @@ def test_a_seed_determines_the_flight(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert logs[0].provenance["seed"] == 1
 
 
-def test_the_document_of_like_has_its_form(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_document_of_like_has_its_form(flight_data: Path, shell: Shell) -> None:
     log = str(flight_data / "rate-doublets-30dps-student.mat")
     arguments = ["simulate", "--like", log, "--rig", "lab", "--gains", "student", "--window", "346.6", "355.6"]
-    assert run([*arguments, "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+    found = shell([*arguments, "--json"]).json
     assert set(found) == {"fit_percent", "windows_s"}
     assert set(found["fit_percent"]) == {"theta", "q", "x", "v"}
     assert found["windows_s"] == [[346.6, 355.6]]
@@ -39,21 +38,20 @@ def test_the_document_of_like_has_its_form(flight_data: Path, capfd: pytest.Capt
     assert found["fit_percent"]["q"] >= 88.0
 
 
-def test_a_public_log_brings_gains_and_window(
-    flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_public_log_brings_gains_and_window(flight_data: Path, tmp_path: Path, shell: Shell) -> None:
     log = tmp_path / "renamed.mat"
     log.write_bytes((flight_data / "rate-doublets-30dps-student.mat").read_bytes())
     answers = []
     for options in ([], ["--gains", "student", "--window", "346.6", "355.6"]):
-        assert run(["simulate", "--like", str(log), "--json", *options]) == 0
-        out, err = capfd.readouterr()
+        out, err = shell(["simulate", "--like", str(log), "--json", *options])
         answers.append(json.loads(out))
         assert ("its gains (student) and its window (346.6 to 355.6 s)" in err) is not bool(options)
     assert answers[0] == answers[1]
     # What is asked for counts: with the gains it was not flown with, the fit falls.
-    assert run(["simulate", "--like", str(log), "--json", "--gains", "default"]) == 0
-    assert json.loads(capfd.readouterr().out)["fit_percent"]["q"] < answers[0]["fit_percent"]["q"]
+    assert (
+        shell(["simulate", "--like", str(log), "--json", "--gains", "default"]).json["fit_percent"]["q"]
+        < answers[0]["fit_percent"]["q"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -76,29 +74,26 @@ def test_a_public_log_brings_gains_and_window(
     ],
 )
 def test_a_mistake_is_refused_with_its_remedy(
-    arguments: list[str], says: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arguments: list[str], says: str, shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(["simulate", *arguments]) == 2
-    out, err = capfd.readouterr()
+    out, err = shell(["simulate", *arguments], 2)
     assert out == ""
     assert says in err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_users_controller_flies_tuned(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_users_controller_flies_tuned(tmp_path: Path, shell: Shell) -> None:
     file = tmp_path / "mine.json"
     new_diagram("lqr-attitude", file)
     arguments = ["simulate", "attitude-steps", "--controller", str(file), "--precision", "float32"]
-    assert run([*arguments, "--tune", "attitude_control.k_i=0.5", "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+    found = shell([*arguments, "--tune", "attitude_control.k_i=0.5", "--json"]).json
     assert found["precision"] == "float32"
     made = found["controllers"]["attitude_control"]
     assert made["name"] == "lqr_attitude"
     assert made["parameters"]["k_i"] == 0.5
     assert len(made["parameters"]["k_past"]) == 5
-    assert run([*arguments, "--tune", "attitude_control.k_past=0,0,0,0,0"]) == 0
-    out = capfd.readouterr().out
+    out = shell([*arguments, "--tune", "attitude_control.k_past=0,0,0,0,0"]).out
     assert "attitude_control.k_past = 0, 0, 0, 0, 0 (-2 to 2): attitude: gains on the past moments" in out
     assert "ok     commands finite: M and T" in out
 
@@ -120,11 +115,10 @@ def test_a_controller_that_cannot_fly_is_refused(
     said: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    shell: Shell,
 ) -> None:
     monkeypatch.setenv("TWODOF_DATA", str(tmp_path))
-    assert run(["simulate", "attitude-steps", *arguments]) == 2
-    assert said in capfd.readouterr().err
+    assert said in shell(["simulate", "attitude-steps", *arguments], 2).err
 
 
 def test_thrust_sags_with_the_charge(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -141,11 +135,9 @@ def test_thrust_sags_with_the_charge(tmp_path: Path, capfd: pytest.CaptureFixtur
 
 
 @pytest.mark.long
-def test_the_charge_is_estimated_from_the_flight(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_charge_is_estimated_from_the_flight(flight_data: Path, shell: Shell) -> None:
     log = str(flight_data / "position-sweep-default.mat")
-    assert run(["simulate", "--like", log, "--charge", "estimate", "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+    found = shell(["simulate", "--like", log, "--charge", "estimate", "--json"]).json
     assert 0.0 <= found["charge"]["charge"] <= 1.0
     assert found["charge"]["deviation"] > 0.0
-    assert run(["simulate", "--like", log, "--charge", "estimate"]) == 0
-    assert "charge, from the compared flight itself" in capfd.readouterr().out
+    assert "charge, from the compared flight itself" in shell(["simulate", "--like", log, "--charge", "estimate"]).out

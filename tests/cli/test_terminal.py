@@ -13,6 +13,7 @@ import pytest
 from rich.table import Table
 
 import twodof
+from tests.cli.program import Shell
 from tests.flightlog.synthetic import attitude_steps
 from tests.patience import PATIENCE_S
 from twodof.cli import output
@@ -42,11 +43,10 @@ def evil_log() -> FlightLog:
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
-def test_names_in_a_log(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_in_a_log(suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], shell: Shell) -> None:
     path = tmp_path / f"a{suffix}"
     write_log(evil_log(), path)
-    assert run(["log", "info", str(path)]) == 0
-    said = capsys.readouterr()
+    said = shell(["log", "info", str(path)])
     clean(said.out + said.err)
     # As it stands, not as rich would read it.
     assert said.out.count("[red]q[/red][link=http://a.b]x[/link]") >= 4
@@ -59,20 +59,19 @@ def test_names_in_a_log(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixtu
         ["identify", str(path), "--experiment", "doublet"],
     ):
         run(arguments)
-        said = capsys.readouterr()
+        said = capfd.readouterr()
         assert said.out + said.err
         clean(said.out + said.err)
 
 
 @pytest.mark.parametrize("suffix", [".svg", ".html"])
-def test_names_in_a_picture(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_in_a_picture(suffix: str, tmp_path: Path, shell: Shell) -> None:
     name = f"<script>alert(1)</script>&$\\frac{{$ {EVIL}"
     log = attitude_steps()
     channels = {"q": log["q"], name: Channel(log["q"].time, log["q"].value, f"</svg>{name}")}
     write_log(FlightLog(channels, {"experiment": name, "rig": name}), tmp_path / "a.parquet")
     out = tmp_path / f"a{suffix}"
-    assert run(["log", "plot", str(tmp_path / "a.parquet"), "--topics", name, "--out", str(out)]) == 0
-    clean(capsys.readouterr().out)
+    clean(shell(["log", "plot", str(tmp_path / "a.parquet"), "--topics", name, "--out", str(out)]).out)
     text = out.read_text(encoding="utf-8")
     assert "<script" not in text
     assert re.search(r"&lt;script&gt;", text)

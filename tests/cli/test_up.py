@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.program import Program, program
+from tests.cli.program import Program, Shell, program
 from tests.fleet.drone_numbers import free_numbers
 from tests.processes import alive
-from twodof.cli.app import run
 from twodof.cli.up import LocalDrone, print_places
 from twodof.errors import Rejected
 from twodof.fleet.local_fleet import MOST_RESTARTS
@@ -43,9 +42,7 @@ def gone(processes: dict[int, str]) -> bool:
 
 
 @pytest.mark.long
-def test_two_drones_are_kept_running_until_ctrl_c(
-    first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_two_drones_are_kept_running_until_ctrl_c(first: int, tmp_path: Path, shell: Shell) -> None:
     write_key(tmp_path / "key", Key.fresh())
     options = ("--rings", "--rig", "paper", "--seed", "41", "--key", "key", "--state", "kept", "--no-safety-switch")
     with up(first, tmp_path, "--drones", "2", *options) as running:
@@ -61,8 +58,7 @@ def test_two_drones_are_kept_running_until_ctrl_c(
             assert (row["controller"], row["changed"]) == ("stock", 0)
             assert Path(row["state"]) == tmp_path / "kept" / f"drone-{row['index']}"
             assert (Path(row["state"]) / "stamps.json").is_file()  # it signs
-        assert run(["up", "--first", str(first + 1), "--rig", "paper"]) == 2
-        said = capfd.readouterr().err
+        said = shell(["up", "--first", str(first + 1), "--rig", "paper"], 2).err
         taken = f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use"
         assert f"{taken}; process {running.process.pid} (" in said  # who started it, not its child
         assert re.search(r"--first ([1-9]|10)\b", said)
@@ -138,10 +134,9 @@ def test_a_program_that_keeps_dying_ends_all(first: int, tmp_path: Path) -> None
 
 
 @pytest.mark.long
-def test_a_program_that_cannot_start_is_named(first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_program_that_cannot_start_is_named(first: int, tmp_path: Path, shell: Shell) -> None:
     asked = ["up", "--json", "--first", str(first + 1), "--state", str(tmp_path), "--rig", "no-such-rig.json"]
-    assert run(asked) == 2
-    said = capfd.readouterr()
+    said = shell(asked, 2)
     error = json.loads(said.out)["error"]
     assert error["what"] == "cannot be read: No such file or directory"
     assert error["where"] == f"flight controller {first + 1}, no-such-rig.json"
@@ -165,6 +160,5 @@ def test_an_early_end_leaves_no_process(first: int, tmp_path: Path, by: signal.S
 @pytest.mark.parametrize(
     ("options", "said"), [("--key no-such-key", "no-such-key"), ("--first 10 --drones 2", "1 to 10")]
 )
-def test_wrong_options_are_refused_before_the_start(options: str, said: str, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["up", *options.split()]) == 2
-    assert said in capfd.readouterr().err
+def test_wrong_options_are_refused_before_the_start(options: str, said: str, shell: Shell) -> None:
+    assert said in shell(["up", *options.split()], 2).err

@@ -20,13 +20,13 @@ from typing import Any
 
 import pytest
 
+from tests.cli.program import Shell
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer, speaking
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S, patiently
 from tests.processes import started
 from twodof.cli import watch
-from twodof.cli.app import run
 from twodof.gcs.drone import Drone
 
 pytestmark = pytest.mark.slow
@@ -102,15 +102,13 @@ def test_a_lost_link_is_shown_and_restored() -> None:
             assert process.poll() is None
 
 
-def test_once_prints_the_state_without_a_lease(capsys: pytest.CaptureFixture[str]) -> None:
+def test_once_prints_the_state_without_a_lease(shell: Shell) -> None:
     with on_board(lockstep=True, index=6) as there, Drone.connect(there.url) as pilot:
         pilot.run(0.2)
-        assert run(["watch", "--once", "--json", there.url]) == 0
-        (seen,) = json.loads(capsys.readouterr().out)["drones"]
+        (seen,) = shell(["watch", "--once", "--json", there.url]).json["drones"]
         assert (seen["system"], seen["link"], seen["ours"], seen["virtual"]) == (7, "heard", True, True)
         assert seen["lease_holder"] == list(pilot.there.lease.holder or ())
-        assert run(["watch", "--once", there.url]) == 0
-        assert capsys.readouterr().out.startswith("drone 7  ")
+        assert shell(["watch", "--once", there.url]).out.startswith("drone 7  ")
         pilot.arm()  # it still commands
 
 
@@ -127,13 +125,10 @@ def test_it_ends_when_its_reader_leaves(form: list[str]) -> None:
         assert process.wait(PATIENCE_S) in (0, 1)
 
 
-def test_no_drone_is_an_error_with_its_remedy(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_drone_is_an_error_with_its_remedy(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watch, "urls", lambda _: [])
     monkeypatch.setattr(watch, "_LISTEN_S", 0.05)
-    assert run(["watch", "--once", "--json"]) == 2
-    said = json.loads(capsys.readouterr().out)["error"]
+    said = shell(["watch", "--once", "--json"], 2).json["error"]
     assert (said["kind"], "twodof up" in said["remedy"]) == ("LinkLost", True)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.program import Shell
 from tests.gcs.virtual import on_board
 from twodof.cli.app import run
 from twodof.errors import LogError
@@ -38,13 +39,12 @@ COMMANDS = [
 
 @pytest.mark.parametrize(("command", "name"), COMMANDS)
 def test_an_existing_file_is_kept_without_force(
-    command: str, name: str, log: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    command: str, name: str, log: str, tmp_path: Path, shell: Shell
 ) -> None:
     file = tmp_path / name
     file.write_text("mine")
     arguments = [log if word == "LOG" else word for word in command.split()] + [str(file)]
-    assert run(arguments) == 2
-    said = capfd.readouterr().err
+    said = shell(arguments, 2).err
     assert "is there already" in said
     assert "--force" in said
     assert "overwrite" not in said
@@ -121,9 +121,8 @@ def test_a_place_is_checked_before_the_work(
     work: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    shell: Shell,
 ) -> None:
     monkeypatch.setattr(work, lambda *_, **__: pytest.fail("the work was begun"))
     for said, place in places(tmp_path, command, suffix).items():
-        assert run([*command.split(), str(place)]) == 2
-        assert said in capsys.readouterr().err
+        assert said in shell([*command.split(), str(place)], 2).err
