@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from twodof.cli.options import Force, Json, argument, flag, option
-from twodof.cli.output import exit_unless, print_result, say_line, table_console
+from twodof.cli.output import exit_unless, print_result, say_line
 from twodof.cli.own_structure import NamedColumns, own_record, read_structure, with_reference
 from twodof.errors import DiagramError, LogError, ParameterError, listed
 from twodof.flightlog.atomic import check_free, write_text
@@ -189,19 +189,15 @@ def identify(
             if several and not merge
             else fit(shape, combine(*records), validation=others, **options)
         )
-        about = {"method": method, **_linear(own, records[0])}
+        about, tables = {"method": method, **_linear(own, records[0])}, [own.table()]
         if compare and isinstance(own, Estimate):
             rest = {name: fit(name, records) for name in compare}
             table = compare_models({model if is_named(model) else own.structure: own, **rest}, others or records)
             about["compared"] = table.to_json()
-        _say(own, about, out, json, own.converged)
-        if "compared" in about and not json:
-            table_console().print(table.table())
-        if plot is not None and isinstance(own, Estimate):
-            if reference is not None:
-                records = [with_reference(records[0], files[0], clock, reference)]
-            _draw(own, shape, [*records, *others], plot, force, reference)
-        exit_unless(own.converged)
+            tables.append(table.table())
+        drawn = records if reference is None else [with_reference(records[0], files[0], clock, reference)]
+        _draw(own, shape, [*drawn, *others], plot, force, reference)
+        _say(own, about, tables, out, json)
         return
     logs = [read_log(path) for path in files]
     kinds = [_experiment(experiment, log) for log in logs]
@@ -237,7 +233,6 @@ def identify(
     about = {"experiment": asked, "method": method, "rig": machine_of(logs[0], 0.0, 0.0).rig}
     if simple:
         found = by_hand(asked, records[0], others, free)
-        converged = True
     else:
         shape = structure_for(asked if model == AUTO else "", model)
         _refuse(
@@ -254,14 +249,11 @@ def identify(
         found, records = by_output_error(
             asked, shape, records, others, estimate, numbers, free, disturbance, machines, before
         )
-        converged = found.converged
-        if plot is not None and isinstance(found, Estimate):
-            if reference is not None:
-                records = [with_reference(records[0], files[0], {}, reference), *records[1:]]
-            _draw(found, shape, records, plot, force, reference)
+        if reference is not None:
+            records = [with_reference(records[0], files[0], {}, reference), *records[1:]]
+        _draw(found, shape, records, plot, force, reference)
     matrices = {} if simple or not (out or json) else _linear(found, records[0])
-    _say(found, {**about, **matrices}, out, json, converged)
-    exit_unless(converged)
+    _say(found, {**about, **matrices}, [found.table()], out, json)
 
 
 def _refuse(*mistakes: tuple[object, str, str, str]) -> None:
@@ -279,16 +271,19 @@ def _given(**options: object) -> str:
 def _say(
     found: SimplePitch | SimpleVelocity | Estimate | Repeated,
     about: dict[str, Any],
+    tables: Sequence[str],
     out: Path | None,
     json: bool,
-    converged: bool,
 ) -> None:
+    """Write and print a model; exit status 1 if its search did not converge."""
     document = {**about, **json_text.loads(found.to_json())}
     if out is not None:
         write_text(out, json_text.dumps(document, allow_nan=False))
-    print_result(json, document, [found.table()])
+    print_result(json, document, tables)
+    converged = not isinstance(found, Estimate | Repeated) or found.converged
     if not converged:
         say_line("note: the search did not converge; try other first guesses with --value")
+    exit_unless(converged)
 
 
 def _columns(
@@ -318,16 +313,17 @@ def _distinctly_named(records: Sequence[Record], files: Sequence[Path]) -> list[
 
 
 def _draw(
-    found: Estimate,
+    found: Estimate | Repeated,
     structure: Structure | PolynomialModel,
     records: Sequence[Record],
-    path: Path,
+    path: Path | None,
     force: bool,
     reference: str | None,
 ) -> None:
-    # matplotlib takes a second to load.
-    drawing = importlib.import_module("twodof.report.plots.identification_plot")
-    drawing.write_identification_plot(found, structure, records, path, force, reference=reference or "")
+    """Draw the fit of one log, importing matplotlib only now; nothing without a `path`."""
+    if path is not None and isinstance(found, Estimate):
+        drawing = importlib.import_module("twodof.report.plots.identification_plot")
+        drawing.write_identification_plot(found, structure, records, path, force, reference=reference or "")
 
 
 def _experiment(name: str | None, log: FlightLog) -> str:

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import reduce
 from operator import or_
-from threading import RLock
+from threading import Lock
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -24,7 +24,7 @@ BATCH, TRUTH = "TWODOF_BATCH", "TWODOF_TRUTH"
 TIMEOUT_S = 5.0
 LEAVING_S = 3.0
 """Longest wait for the answer at the end of a subscription: rows that wait on board are sent before it."""
-_PIECE = 1024
+_PARTS = 1024
 
 Kind = TypeVar("Kind", np.float32, np.float64)
 
@@ -41,7 +41,9 @@ class SampleRows(Generic[Kind]):
         self._kind: type[Kind] = kind
         self._ticks: list[NDArray[np.uint32]] = []
         self._values: list[NDArray[Kind]] = []
-        self._lock = RLock()
+        self._loose = 0  # parts at the end of both lists that are to be joined
+        self._sorted = False  # both lists have one part, whose ticks rise
+        self._lock = Lock()
 
     def __len__(self) -> int:
         return len(self.ticks)
@@ -72,15 +74,20 @@ class SampleRows(Generic[Kind]):
         with self._lock:
             self._ticks.append(ticks)
             self._values.append(values)
+            self._loose, self._sorted = self._loose + 1, False
+            if self._loose == _PARTS:  # small arrays take ten times the memory of a large one
+                self._ticks[-_PARTS:] = [np.concatenate(self._ticks[-_PARTS:])]
+                self._values[-_PARTS:] = [np.concatenate(self._values[-_PARTS:])]
+                self._loose = 0
 
     def _joined(self) -> tuple[NDArray[np.uint32], NDArray[Kind]]:
         """Return all rows sorted, each tick once, and keep them so."""
         with self._lock:
-            if len(self._ticks) != 1:
+            if not self._sorted:
                 ticks = np.concatenate([np.empty(0, np.uint32), *self._ticks])
                 values = np.concatenate([np.empty((0, len(self.columns)), self._kind), *self._values])
                 ticks, first = np.unique(ticks, return_index=True)
-                self._ticks, self._values = [ticks], [values[first]]
+                self._ticks, self._values, self._loose, self._sorted = [ticks], [values[first]], 0, True
             return self._ticks[0], self._values[0]
 
 
@@ -103,25 +110,10 @@ class TruthRows(SampleRows[np.float64]):
 
     def __init__(self) -> None:
         super().__init__(("truth.theta", "truth.q", "truth.x", "truth.v"), np.float64)
-        self._new: list[tuple[int, float, float, float, float]] = []
 
     def take(self, got: Any) -> None:
         """Add a TWODOF_TRUTH."""
-        with self._lock:
-            self._new.append((got.step, got.theta, got.q, got.x, got.v))
-            if len(self._new) == _PIECE:  # tuples take ten times the memory of an array
-                self._put_away()
-
-    def _put_away(self) -> None:
-        rows = np.array(self._new, dtype=np.float64)
-        self._new = []
-        self.append(rows[:, 0].astype(np.uint32), rows[:, 1:])
-
-    def _joined(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
-        with self._lock:
-            if self._new:
-                self._put_away()
-            return super()._joined()
+        self.append(np.array([got.step], np.uint32), np.array([[got.theta, got.q, got.x, got.v]]))
 
 
 Rows = TypeVar("Rows", BatchRows, TruthRows)
