@@ -123,10 +123,11 @@ def test_a_discrete_pid_follows_mathworks_order_of_operations(tmp_path: Path) ->
 
 
 def test_a_variant_is_its_active_choice(tmp_path: Path) -> None:
-    inner = [("Inport", "in", {}), ("Gain", "k", {"Gain": "3"}), ("Outport", "out", {})]
+    """One choice is a gain, the other one a MATLAB Function, whose code the file has under the choice's path."""
+    function = ("SubSystem", "k", {"SFBlockType": "MATLAB Function", "Ports": "[1, 1]"})
     choices = ""
-    for number, gain in ((1, 3), (2, 5)):
-        sheet = model([*inner[:1], ("Gain", "k", {"Gain": str(gain)}), inner[2]], [("in", "k"), ("k", "out")])
+    for number, block in ((1, ("Gain", "k", {"Gain": "3"})), (2, function)):
+        sheet = model([("Inport", "in", {}), block, ("Outport", "out", {})], [("in", "k"), ("k", "out")])
         system = sheet["simulink/blockdiagram.xml"].partition("<Model>")[2].partition("</Model>")[0]
         control = f'<P Name="VariantControl">MODE == {number}</P>'
         choices += f'<Block BlockType="SubSystem" Name="choice {number}" SID="1{number}">{control}{system}</Block>'
@@ -137,6 +138,9 @@ def test_a_variant_is_its_active_choice(tmp_path: Path) -> None:
     )
     name = "simulink/blockdiagram.xml"
     files[name] = files[name].replace('Name="gain" SID="2">', f'Name="gain" SID="2">{variant}')
+    code = '<P Name="labelString">f</P><eml><P Name="script">function y = f(u)\ny = 5 * u;</P></eml>'
+    chart = '<chart id="9"><P Name="name">gain/choice 2/k</P><Children><state SSID="1">{}</state></Children></chart>'
+    files["simulink/stateflow/chart_9.xml"] = chart.format(code)
     read = read_model(slx(files, tmp_path / "m.slx"))
     for mode, factor in ((1, 3.0), (2, 5.0)):
         found = import_system(read, "", {"MODE": np.array([[float(mode)]])}, dt=DT)
