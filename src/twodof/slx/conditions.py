@@ -4,12 +4,9 @@ Edges are those of MathWorks' C: of a trigger by the signs before and after with
 reset by the sign before (`PrevResetState`).
 """
 
-import ast
-import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -20,19 +17,15 @@ from twodof.blocks.declarations import Port, State
 from twodof.blocks.expressions.expr import int32, to_real, where
 from twodof.blocks.library import CaseChoice, Constant, Convert, FirstTrue, Merge, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import evaluate
-from twodof.slx.matlab.values import Value, as_array, scalar
+from twodof.slx.matlab.evaluation import evaluate, names_in
+from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.values import as_array
 from twodof.slx.model import System
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
 
 CONTROL_PORTS = {"EnablePort": "enable", "TriggerPort": "trigger", "ActionPort": "ifaction", "ResetPort": "reset"}
 """Block types that make their subsystem conditional, with the kind of pin that they give it."""
 ITERATED = ("ForEach", "WhileIterator", "ForIterator")
-_OPERATIONS: dict[type, Callable[..., Any]] = {
-    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Eq: operator.eq,
-    ast.NotEq: operator.ne, ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
-    ast.Div: operator.truediv, ast.And: operator.and_, ast.Or: operator.or_, ast.USub: operator.neg,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -116,60 +109,17 @@ class ControlEdge(Block):
         return {"sign": sign, "passing": where(reached, -x.sign, int32(0))}
 
 
-class IfConditions(Block):
-    """One bool for each expression of the inputs u1, u2, ..., which have these kinds; `names` are constants in them.
-
-    Raises DiagramError for an expression that is more than comparisons, logic and sums of products.
-    """
-
-    def __init__(self, expressions: Sequence[str], kinds: Sequence[str], names: Mapping[str, Value]) -> None:
-        self.trees = []
-        for text in expressions:
-            python = re.sub(r"[~!](?!=)", " not ", text.replace("~=", "!="))
-            python = re.sub(r"&&?", " and ", re.sub(r"\|\|?", " or ", python))
-            try:
-                self.trees.append(ast.parse(python.strip(), mode="eval").body)
-            except (SyntaxError, ValueError):
-                raise DiagramError(f"{text}: is not an expression", "If", "mend it") from None
-        self.names = dict(names)
-        self.inputs = [Port(f"u{k}", kind) for k, kind in enumerate(kinds, start=1)]
-        self.outputs = [Port(f"y{k}", "bool") for k in range(1, len(expressions) + 1)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """Compute the expressions."""
-        signals = {port.name: u[port.name] if port.kind == "real" else to_real(u[port.name]) for port in self.inputs}
-        found = [self._value(tree, signals) for tree in self.trees]
-        return {port.name: _truth(value) for port, value in zip(self.outputs, found, strict=True)}
-
-    def _value(self, tree: ast.expr, signals: Mapping[str, Any]) -> Any:
-        def of(one: ast.expr) -> Any:
-            return self._value(one, signals)
-
-        if isinstance(tree, ast.BoolOp):
-            return reduce(_OPERATIONS[type(tree.op)], [_truth(of(one)) for one in tree.values])
-        if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.Not):
-            return ~_truth(of(tree.operand))
-        if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
-            return -of(tree.operand)
-        if isinstance(tree, ast.Compare) and len(tree.ops) == 1:
-            return _OPERATIONS[type(tree.ops[0])](of(tree.left), of(tree.comparators[0]))
-        if isinstance(tree, ast.BinOp) and type(tree.op) in _OPERATIONS:
-            return _OPERATIONS[type(tree.op)](of(tree.left), of(tree.right))
-        if isinstance(tree, ast.Name) and tree.id in signals:
-            return signals[tree.id]
-        return scalar(evaluate(ast.unparse(tree), self.names))
-
-
-def _truth(value: Any) -> Any:
-    return value if getattr(value, "kind", "") == "bool" else value != 0.0
-
-
 def _if(c: Asked) -> Made:
+    """Compute the expressions as a function in MATLAB's language; what they name is of the workspace."""
     if any(one.width is not None for one in c.inputs):
         raise NotTranslated("an input is a vector")
     expressions = [c.text("IfExpression", "u1 > 0"), *re.findall(r"[^,]+", c.text("ElseIfExpressions", ""))]
-    d, conditions = Diagram("choice"), IfConditions(expressions, [one.number for one in c.inputs], c.names)
-    _ = conditions.trace  # what it cannot compute is refused here
+    ports = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
+    named = sorted({name for text in expressions for name in names_in(text) if name in c.names and name not in ports})
+    results = [f"y{k}" for k in range(1, len(expressions) + 1)]
+    code = f"function [{', '.join(results)}] = f({', '.join([*ports, *named])})\n"
+    code += "\n".join(f"{name} = logical({text});" for name, text in zip(results, expressions, strict=True))
+    d, conditions = Diagram("choice"), MatlabFunction(code, c.inputs, c.names, ports)
     for port in conditions.inputs:
         d.input(port.name, port.kind)
     d.add("conditions", conditions, inputs={port.name: port.name for port in conditions.inputs})
