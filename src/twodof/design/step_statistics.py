@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.models.lti import rise_times
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ def step_statistics(response: Array, goal: float) -> dict[str, Array]:
     z = response / goal
     tail = max(1, len(z) // 5)
     return {
-        "rise_time": _first(z, 0.9) - _first(z, 0.1),
+        "rise_time": rise_times(np.asarray(np.arange(len(z)) * PERIOD, dtype=np.float64), z),
         "overshoot": np.maximum(0.0, z.max(axis=0) - 1.0),
         "settled_error": 1.0 - z[-tail:].mean(axis=0),
     }
@@ -40,18 +41,6 @@ def interval(values: Array, level: float) -> tuple[float, float, float]:
     tails = (0.0 if bounded else 0.5 * out, 0.5, level if bounded else 1.0 - 0.5 * out)
     low, middle, high = (float(v) for v in np.quantile(values, tails, method="nearest"))
     return low, middle, high
-
-
-def _first(z: Array, level: float) -> Array:
-    """Return the time [s] at which each column first reaches `level`, between samples; infinite if it never does."""
-    reached = z >= level
-    k = reached.argmax(axis=0)
-    there = np.where(reached.any(axis=0), k, 0)
-    column = np.arange(z.shape[1])
-    above, below = z[there, column], z[np.maximum(there - 1, 0), column]
-    rise = np.where(above > below, above - below, 1.0)
-    time = (there - np.where(there > 0, (above - level) / rise, 0.0)) * PERIOD
-    return np.where(reached.any(axis=0), time, np.inf)
 
 
 def step_bands(flown: Mapping[str, Array], level: float) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:

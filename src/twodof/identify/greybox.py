@@ -161,20 +161,11 @@ def fit(
             raise
         check_identifiable(jacobian[:, left], problem.scale[left], [labels[i] for i in left], where)
         still = {name: 0.0 for name in wanted if name not in moving}
-        again = fit(
-            structure,
-            several,
-            estimate=moving,
-            values={n: value for n, value in (values or {}).items() if n.partition("[")[0] not in still} | still,
-            bounds=bounds,
-            separate=separate,
-            noise=noise,
-            band=band,
-            validation=checked,
-            like=like,
-            disturbance=disturbance,
-            prior={name: one for name, one in (prior or {}).items() if name not in still},
-        )
+        held = {n: value for n, value in (values or {}).items() if n.partition("[")[0] not in still} | still
+        before = {name: one for name, one in (prior or {}).items() if name not in still}
+        given: dict[str, Any] = {"bounds": bounds, "separate": separate, "noise": noise, "band": band, "like": like}
+        given |= {"validation": checked, "disturbance": disturbance, "prior": before}
+        again = fit(structure, several, estimate=moving, values=held, **given)
         return replace(again, at_rest=tuple(still))
     _check_followed(problem, found)
     white, robust = (np.full((len(labels), len(labels)), math.nan) for _ in range(2))

@@ -181,8 +181,9 @@ def step_figures(t: ArrayLike, y: ArrayLike, start: float, final: float, band: f
         edge = 1.0 + math.copysign(band, z[last] - 1.0)
         settling = float(time[last] + (edge - z[last]) / (z[last + 1] - z[last]) * (time[last + 1] - time[last]))
     top = int(np.argmax(z))
+    rise = float(rise_times(time, z[:, None])[0])
     return StepFigures(
-        rise_time=_first_crossing(time, z, 0.9) - _first_crossing(time, z, 0.1),
+        rise_time=rise if math.isfinite(rise) else math.nan,
         settling_time=settling,
         overshoot=max(0.0, float(z[top]) - 1.0),
         peak=float(value[top]),
@@ -191,14 +192,20 @@ def step_figures(t: ArrayLike, y: ArrayLike, start: float, final: float, band: f
     )
 
 
-def _first_crossing(time: Array, z: Array, level: float) -> float:
-    above = np.flatnonzero(z >= level)
-    if above.size == 0:
-        return math.nan
-    k = int(above[0])
-    if k == 0:
-        return float(time[0])
-    return float(time[k - 1] + (level - z[k - 1]) / (z[k] - z[k - 1]) * (time[k] - time[k - 1]))
+def rise_times(time: Array, shares: Array) -> Array:
+    """Return the rise from 10 to 90 % [s] of responses (steps, n), as shares of the step; infinite if not reached."""
+
+    def first(level: float) -> Array:
+        reached = shares >= level
+        k, column = reached.argmax(axis=0), np.arange(shares.shape[1])
+        before = np.maximum(k - 1, 0)
+        rise = np.where(k > 0, shares[k, column] - shares[before, column], 1.0)
+        at = time[before] + (level - shares[before, column]) / rise * (time[k] - time[before])
+        return np.where(reached.any(axis=0), at, np.inf)
+
+    end = first(0.9)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isfinite(end), end - first(0.1), np.inf)
 
 
 def _held_step(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
