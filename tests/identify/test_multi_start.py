@@ -54,9 +54,7 @@ def test_the_best_of_many_minima_is_found() -> None:
 
 def test_one_start_is_the_fit() -> None:
     wave = Structure.of_block(Wave()).with_guess(w=19.5)
-    told: list[tuple[int, int]] = []
-    found = fit_from_several(wave, record(), {"w": (1.0, 60.0)}, starts=1, progress=lambda *done: told.append(done))
-    assert told == [(0, 1)]
+    found = fit_from_several(wave, record(), {"w": (1.0, 60.0)}, starts=1)
     assert found.best["w"] == fit(wave, record())["w"]
     assert found.share == 1.0
 

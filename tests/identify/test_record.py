@@ -115,12 +115,6 @@ def test_an_empty_window_says_what_there_is() -> None:
         Record.from_columns(T, {"u": T}, ["u"], [])
 
 
-@pytest.mark.parametrize("dt", [0.0, -0.004, float("nan")])
-def test_a_step_is_above_zero(dt: float) -> None:
-    with pytest.raises(IdentificationError, match="give a time above 0"):
-        Record.from_channels({"u": (T, T), "y": (T, T)}, ["u"], ["y"], dt=dt)
-
-
 def test_a_window_before_an_input_is_refused() -> None:
     with pytest.raises(IdentificationError, match="channel 'late': no sample at or before"):
         Record.from_channels({"u": (T, T), "late": (T + 0.1, T), "y": (T, T)}, ["u", "late"], ["y"])

@@ -1,7 +1,7 @@
 """A fit from several first guesses: a cost with several minima shows them, and the best one is kept."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -55,7 +55,6 @@ def fit_from_several(
     *,
     starts: int = 20,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> MultiStart:
     """Fit from the structure's own first guess and from `starts` - 1 random ones, and keep the best.
@@ -64,9 +63,8 @@ def fit_from_several(
     factor of ten or more apart, the draw is uniform in the logarithm. Otherwise it is uniform. The draws are a Latin
     hypercube: each unknown's range is in `starts` equal parts, and each part has one draw. `options` are those of
     `fit`; the `bounds` of the search are not narrowed. The searches are by output error, or in innovation form if that
-    is asked for; another noise model (`disturbance`, see `fit`) is fitted from the best end alone. `progress` is called
-    with the starts done and their number. Two ends are one minimum if their costs differ by less than .1, or 1e-6 of
-    the samples.
+    is asked for; another noise model (`disturbance`, see `fit`) is fitted from the best end alone. Two ends are one
+    minimum if their costs differ by less than .1, or 1e-6 of the samples.
 
     Raises IdentificationError for names, ranges or numbers that are not possible, and the last fit's error if all
     starts fail.
@@ -81,8 +79,6 @@ def fit_from_several(
     best: Estimate | None = None
     failed: list[tuple[Mapping[str, float], str]] = []
     for done, guess in enumerate(guesses):
-        if progress is not None:
-            progress(done, starts)
         try:
             found = fit(structure, records, values=guess, disturbance=searched, **options)
         except IdentificationError as error:

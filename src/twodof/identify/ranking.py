@@ -1,7 +1,7 @@
 """Ranking of fits of several structures to the same data, by information criteria."""
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -131,14 +131,12 @@ def select(
     values: Mapping[str, float] | None = None,
     disturbance: Disturbance = "auto",
     criterion: str = "aicc",
-    progress: Callable[[int, int, str], None] | None = None,
 ) -> tuple[Ranking, dict[str, Estimate]]:
     """Fit every subset of the `optional` unknowns beside those estimated `always`, and rank them.
 
     `values` and `disturbance` as in `fit`. An optional unknown that is not estimated keeps its value (`values`, else
     the structure's own): a friction or trim of 0 has no effect. A candidate that also estimates a and b is called
-    "+ a + b", one that estimates none "-". Subsets that the data cannot tell are left out. `progress(done, all, name)`
-    is called before each fit.
+    "+ a + b", one that estimates none "-". Subsets that the data cannot tell are left out.
     Raise IdentificationError for more than 6 optional unknowns, if fewer than two subsets can be fitted, and as `fit`
     does for wrong names.
     """
@@ -153,10 +151,8 @@ def select(
     subsets = [part for size in range(len(optional) + 1) for part in combinations(optional, size)]
     fits: dict[str, Estimate] = {}
     refused = ""
-    for done, part in enumerate(subsets):
+    for part in subsets:
         name = " ".join(f"+ {one}" for one in part) or "-"
-        if progress is not None:
-            progress(done, len(subsets), name)
         try:
             fits[name] = fit(structure, records, estimate=(*always, *part), values=values, disturbance=disturbance)
         except IdentificationError as error:

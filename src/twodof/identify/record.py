@@ -140,15 +140,14 @@ class Record:
         *,
         start: float = -math.inf,
         stop: float = math.inf,
-        dt: float | None = None,
         smooth: Collection[str] = (),
         hold: str | Mapping[str, str] = "zoh",
         name: str = "record",
     ) -> Self:
         """Make a record from channels (time [s], value), each with its own clock, in the window `start` to `stop` [s].
 
-        The grid is that of the first input: its step is the mean of its regular intervals unless `dt` is given, its
-        phase fits all its stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
+        The grid is that of the first input: its step is the mean of its regular intervals, its phase fits all its
+        stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
         jitter forgiven. Where the stamps of the first input jitter by a twentieth of a step and more, step k takes the
         mean over the step of that input, and of those with the same stamps. Inputs named in `smooth` are samples of a
         signal that moves on between them, such as a measured pitch. Of those, step k takes the value half-way to the
@@ -160,8 +159,6 @@ class Record:
         """
         if not inputs or not outputs:
             raise IdentificationError("no input or no output named", f"record '{name}'", "name at least one of each")
-        if dt is not None and (not is_number(dt) or dt <= 0.0):
-            raise IdentificationError(f"a step of {shown(dt)} s", f"record '{name}'", "give a time above 0")
         holds = dict(hold) if isinstance(hold, Mapping) else dict.fromkeys(inputs, hold)
         for channel in smooth:
             if channel not in inputs or holds.get(channel, "zoh") != "zoh":
@@ -175,7 +172,7 @@ class Record:
         inside = (clock >= start) & (clock <= stop)
         _check_window(inside, 2, (start, stop), f"record '{name}', channel '{inputs[0]}'", clock)
         clock = clock[inside]
-        step, origin = _grid(clock, dt)
+        step, origin = _grid(clock)
         steps = round((clock[-1] - origin) / step) + 1
         if steps > MAX_STEPS:
             raise IdentificationError(
@@ -406,13 +403,10 @@ def _gaps(time: Array, start: float, stop: float) -> tuple[tuple[float, float], 
     return tuple((float(inside[k]), float(inside[k + 1])) for k in np.flatnonzero(interval > (GAP + 0.5) * usual))
 
 
-def _grid(clock: Array, dt: float | None) -> tuple[float, float]:
+def _grid(clock: Array) -> tuple[float, float]:
     """Step and phase of the uniform grid that fits the stamps; gaps count as the whole steps they are."""
     interval = np.diff(clock)
-    rough = float(np.median(interval)) if dt is None else dt
-    count = _counted(clock, interval, rough)
-    if dt is not None:
-        return dt, float(np.mean(clock - dt * count))
+    count = _counted(clock, interval, float(np.median(interval)))
     centred = count - count.mean()
     step = float(centred @ clock / (centred @ centred))
     # A clock that is exact but for rounding gives back its own first stamp and round step.

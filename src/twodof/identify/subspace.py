@@ -6,7 +6,6 @@ past tells of the future outputs beyond the future inputs spans the observabilit
 the outputs' offsets then follow by linear least squares of the simulation error.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,26 +76,20 @@ class SubspaceModel:
 def subspace(
     record: Record,
     *,
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
     order: int | None = None,
-    horizon: int | None = None,
     feed_through: bool = False,
 ) -> SubspaceModel:
-    """Return a linear model of `record` between `inputs`, taken as held, and `outputs` (default: all).
+    """Return a linear model of `record` between its inputs, taken as held, and its outputs.
 
-    `order`: the number of states, by default that before the largest gap between singular values, at most
-    `horizon` / 2. `horizon`: how many samples before and after are looked at, by default 10 to 30 by the record's
-    length; it should span the slowest dynamics' visible part. `feed_through`: whether D is estimated.
-    Raises IdentificationError for unknown names and for outputs that are not sampled at each step. It is also raised
-    for a record that is too short and an input that does not excite the model enough.
+    `order`: the number of states, by default that before the largest gap between singular values. 10 to 30 samples
+    before and after each one are looked at, by the record's length, and the order is at most half of that.
+    `feed_through`: whether D is estimated.
+    Raises IdentificationError for outputs that are not sampled at each step, for a record that is too short, and for an
+    input that does not excite the model enough.
     """
     check_record(record)
     where = f"record '{record.name}'"
-    ins, outs = tuple(inputs) or tuple(record.inputs), tuple(outputs) or tuple(record.outputs)
-    for one, there in [*((n, record.inputs) for n in ins), *((n, record.outputs) for n in outs)]:
-        if one not in there:
-            raise record.error(f"there is no '{one}'", f"there are: {', '.join(there)}")
+    ins, outs = tuple(record.inputs), tuple(record.outputs)
     for one in outs:
         if not (record.outputs[one].on_grid and record.outputs[one].value.size == record.steps):
             raise IdentificationError(
@@ -106,12 +99,12 @@ def subspace(
     y = np.column_stack([record.outputs[one].value for one in outs])
     steps, m, p = u.shape[0], u.shape[1], y.shape[1]
     most = (steps + 1) // (2 * (m + p) + 2)
-    reach = min(max(10, steps // 50), 30, most) if horizon is None else horizon
-    if not is_number(reach, 2, most, whole=True):
-        raise record.error(f"{steps} samples for a horizon of {shown(reach)}", f"give 2 to {most}, or record more")
+    reach = min(max(10, steps // 50), 30, most)
+    if reach < 2:
+        raise record.error(f"{steps} samples are too few", "record more")
     largest = min(MAX_STATES, reach - 1)
     if order is not None and not is_number(order, 1, largest, whole=True):
-        raise record.error(f"the order {shown(order)}", f"give 1 to {largest}, or a longer horizon")
+        raise record.error(f"the order {shown(order)}", f"give 1 to {largest}, or a longer record")
     # Each signal in its own size: the singular values then weigh outputs alike.
     size_u, size_y = u.std(axis=0), y.std(axis=0)
     if still := [name for name, size in zip((*ins, *outs), (*size_u, *size_y), strict=True) if size == 0.0]:
@@ -151,9 +144,7 @@ def _observability(u: Array, y: Array, reach: int, where: str) -> tuple[Array, A
     future, past = 1 + reach * u.shape[1], reach * (u.shape[1] + y.shape[1])
     told = np.linalg.svd(lower[1:future, 1:future], compute_uv=False)
     if told[-1] <= 1e-9 * told[0]:
-        raise IdentificationError(
-            f"the inputs do not excite a horizon of {reach} samples", where, "use a shorter horizon or a richer input"
-        )
+        raise IdentificationError(f"the inputs do not excite a model of {reach} samples", where, "use a richer input")
     vectors, values, _ = np.linalg.svd(lower[future + past :, future : future + past])
     return np.asarray(vectors), np.asarray(values)
 
