@@ -332,6 +332,8 @@ KALMAN = {"TimeDomain": "Discrete-Time", "ModelSource": "Individual A, B, C, D m
     [
         ("dspstat3/Median Filter", {"WindowLength": "6"}, lambda u: np.median(windows(u, 6), axis=1)),
         ("dspstat3/Median Filter", {"WindowLength": "7"}, lambda u: np.median(windows(u, 7), axis=1)),
+        ("dspstat3/Moving Average", {"WindowLength": "5"}, lambda u: windows(u, 5).mean(axis=1)),
+        ("dspstat3/Moving Average", {"WindowLength": "2"}, lambda u: windows(u, 2).mean(axis=1)),
         ("dspbuff3/Delay Line", {"siz": "3", "directfeed": "off"}, lambda u: windows(before(u), 3)),
         ("ctrlSharedLib/Kalman Filter", KALMAN, estimated),
         ("ctrlSharedLib/Kalman Filter", {**KALMAN, "UseCurrentEstimator": "off"},

@@ -178,16 +178,20 @@ def test_elements_of_vectors_are_chosen_and_joined_one_by_one(tmp_path: Path) ->
         ("Logic", "any", {"Operator": "OR", "Inputs": "1"}),
         ("MinMax", "most", {"Function": "max", "Inputs": "1"}),
         ("Product", "scaled", {"Multiplication": "Matrix(*)"}),
+        ("Saturate", "held", {"LowerLimit": "[-1 -2 -inf]", "UpperLimit": "2"}),
         ("Outport", "y", {}),
         ("Outport", "some", {"Port": "2"}),
         ("Outport", "all", {"Port": "3"}),
+        ("Outport", "within", {"Port": "4"}),
     ]
     lines = [("u", "twice"), ("twice", "chosen:1"), ("u", "chosen:2"), ("none", "chosen:3"), ("chosen", "y"),
              ("u", "large"), ("large", "any"), ("any", "some"), ("u", "most"),
-             ("u", "scaled:1"), ("most", "scaled:2"), ("scaled", "all")]  # fmt: skip
+             ("u", "scaled:1"), ("most", "scaled:2"), ("scaled", "all"),
+             ("u", "held"), ("held", "within")]  # fmt: skip
     found = flown(import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), dt=DT), {"u": DRAWN.T})
     assert np.array_equal(found["y"], np.where(DRAWN.T > 0.5, 2.0 * DRAWN.T, [7.0, 8.0, 9.0]))
     assert np.array_equal(found["some"], (DRAWN.T > [1.0, 2.0, 3.0]).any(axis=1))
+    assert np.array_equal(found["within"], np.clip(DRAWN.T, [-1.0, -2.0, -np.inf], 2.0))
     assert np.array_equal(found["all"], DRAWN.T * DRAWN.T.max(axis=1, keepdims=True))
 
 

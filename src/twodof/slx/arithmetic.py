@@ -23,7 +23,19 @@ from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, STORED, WORDS
 from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Constant, Maximum, Minimum, Saturation
 from twodof.slx.composite_blocks import formula
 from twodof.slx.data_types import kind_of
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, expanded, of_elements, passes, plain, same
+from twodof.slx.translation import (
+    Asked,
+    Made,
+    NotTranslated,
+    Rule,
+    Signal,
+    each,
+    expanded,
+    of_elements,
+    passes,
+    plain,
+    same,
+)
 
 ROUNDING: Mapping[str, Callable[[Any], Any]] = {
     "Floor": floor,
@@ -149,6 +161,8 @@ def _bias(c: Asked) -> Made:
 
 
 def _saturate(c: Asked) -> Made:
+    if c.value("LowerLimit", "-0.5").size > 1 or c.value("UpperLimit", "0.5").size > 1:
+        return each(_saturate, "LowerLimit", "UpperLimit")(c)
     low, high = c.scalar("LowerLimit", "-0.5"), c.scalar("UpperLimit", "0.5")
     if c.inputs[0].number != "real" and not all(v.is_integer() or math.isinf(v) for v in (low, high)):
         raise NotTranslated(f"limits {low:g} and {high:g} of {c.inputs[0]} are not translated")

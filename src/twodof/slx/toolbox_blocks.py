@@ -37,6 +37,27 @@ def _median(c: Asked) -> Made:
     return _function(c, code, {"n": c.value("WindowLength", "5")})
 
 
+def _average(c: Asked) -> Made:
+    """Return the mean of the last samples, which are 0 before the start, by sums forwards and backwards."""
+    c.needs("Method", "Sliding window", "Sliding window")
+    c.needs("SpecifyWindowLength", "on", "on")
+    if c.inputs[0].width is not None:
+        raise NotTranslated("a mean of a vector is not translated")
+    code = """function y = f(u, n)
+    persistent total back k
+    if isempty(total), total = 0; back = zeros(n - 1, 1); k = 1; end
+    total = total + u;
+    y = (back(k) + total) / n;
+    back(k) = u;
+    if k < n - 1
+      k = k + 1;
+    else
+      k = 1; total = 0;
+      for i = n - 2:-1:1, back(i) = back(i) + back(i + 1); end
+    end"""
+    return _function(c, code, {"n": c.value("WindowLength", "4")})
+
+
 def _line(c: Asked) -> Made:
     """Return the last samples, the oldest first; with the present one where it feeds through."""
     for name in ("enable_output", "hold_output"):
@@ -105,5 +126,6 @@ TOOLBOX_RULES: dict[str, Rule] = {
     "Kalman Filter": _kalman,
     "Least Squares Polynomial Fit": _polynomial,
     "Median Filter": _median,
+    "Moving Average": _average,
 }
 """Rule of each of these, by the library block's name."""
