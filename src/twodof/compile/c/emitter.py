@@ -7,6 +7,7 @@ step.
 import math
 from collections.abc import Iterable, Sequence
 from functools import cache
+from typing import NamedTuple
 
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
@@ -73,9 +74,8 @@ def emit(
     with the `CInterface` of each program; by default the C file itself contains it.
     """
     emitters = [_Emitter(p, MemoryLayout(p), precision, lean, not header) for p in programs]
-    helpers = set[str]().union(*(e.scope.used.helpers for e in emitters))
-    elementary, more = _elementary(set[str]().union(*(e.scope.used.functions for e in emitters)), precision)
-    helpers |= more
+    elementary = _elementary(set[str]().union(*(e.scope.used.functions for e in emitters)), precision)
+    helpers = set[str]().union(*(e.scope.used.helpers for e in emitters), *(f.helpers for f in elementary))
     listing = Listing()
     parts = [
         f'#include "{header}"\n\n' if header else "",
@@ -84,8 +84,8 @@ def emit(
         APART if any(e.apart for e in emitters) else "",
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
         *(f"{text}\n" for name, text in HELPERS[precision].items() if name in helpers),
-        INSTRUCTIONS_THERE if any("td_instructions" in text for text in elementary) else "",
-        *elementary,
+        INSTRUCTIONS_THERE if any("td_instructions" in f.text for f in elementary) else "",
+        *(f.text for f in elementary),
     ]
     listing.add("".join(parts))
     for emitter in emitters:
@@ -96,24 +96,33 @@ def emit(
     return [EmittedProgram(e.program, text, e.layout, precision, listing.marks, listing.cost) for e in emitters]
 
 
-def _elementary(names: Iterable[str], precision: str) -> tuple[list[str], set[str]]:
-    """Return the definitions of the elementary functions `names` and of those they call, callees first; and helpers."""
-    needed: dict[str, None] = {}
-    stack = [(n, False) for n in sorted(names)]
-    while stack:
-        name, done = stack.pop()
-        if done:
-            needed[name] = None
-        elif name not in needed:
-            stack.append((name, True))
-            stack += [(n, False) for n in sorted(_function(name, precision)[1])]
-    helpers = frozenset[str]().union(*(_function(n, precision)[2] for n in needed))
-    return [_function(n, precision)[0] for n in needed], set(helpers)
+class ElementaryFunction(NamedTuple):
+    """C of an elementary function, and the names of the elementary functions and of the helpers that it calls."""
+
+    text: str
+    functions: frozenset[str]
+    helpers: frozenset[str]
+
+
+def _elementary(names: Iterable[str], precision: str) -> list[ElementaryFunction]:
+    """Return the elementary functions `names` and those that they call, callees first."""
+    found: dict[str, ElementaryFunction] = {}
+
+    def add(name: str) -> None:
+        if name not in found:
+            made = _function(name, precision)
+            for called in sorted(made.functions):
+                add(called)
+            found[name] = made
+
+    for name in sorted(names):
+        add(name)
+    return list(found.values())
 
 
 @cache
-def _function(name: str, precision: str) -> tuple[str, frozenset[str], frozenset[str]]:
-    """Return an elementary function in C, what it calls, and its helpers; "sin_float32" is the sine of that kind."""
+def _function(name: str, precision: str) -> ElementaryFunction:
+    """Return an elementary function; "sin_float32" is the sine of that kind."""
     own, _, last = name.rpartition("_")
     base, kind = (own, last) if last in FLOATS else (name, "real")
     precision = dtype_of(kind, precision).name
@@ -125,15 +134,13 @@ def _function(name: str, precision: str) -> tuple[str, frozenset[str], frozenset
     renderer = Renderer(CNames({*arguments, "td"}), precision, used, lambda e: Text.of(e.data))
     value = renderer.text(result)
     body = [*renderer.out, Call(f"return {value.text};", reads=value.reads)]
-    listing = Listing()
-    listing.function(Function(f"static {real}", f"td_{name}", tuple(f"{real} {a}" for a in arguments), body, ""))
-    text = listing.text()
     if base in INSTRUCTIONS:
         builtin = f"__builtin_{base}{'f' if precision == 'float32' else ''}({', '.join(arguments)})"
-        head, _, rest = text.partition("{\n")
-        rest = rest.removesuffix("}\n\n")
-        text = f"{head}{{\n#if defined(td_instructions)\n    return {builtin};\n#else\n{rest}#endif\n}}\n\n"
-    return text, frozenset(used.functions), frozenset(used.helpers)
+        there = [Call(line) for line in ("#if defined(td_instructions)", f"return {builtin};", "#else")]
+        body = [*there, *body, Call("#endif")]
+    listing = Listing()
+    listing.function(Function(f"static {real}", f"td_{name}", tuple(f"{real} {a}" for a in arguments), body, ""))
+    return ElementaryFunction(listing.text(), frozenset(used.functions), frozenset(used.helpers))
 
 
 class _Emitter:

@@ -1,6 +1,7 @@
 """Integration of continuous states in the step function: a loop over the method's stages, edges, and projections."""
 
 from collections.abc import Container
+from functools import partial
 from typing import NamedTuple
 
 from twodof.compile.c.commit import changed, commit
@@ -57,7 +58,6 @@ class Integration:
         self.x, self.at, self.sum, self.slope = map(self.names.new, ("x", "at", "sum", "slope"))
         self.real = C_TYPES["real"]
         self.struct = f"{self.program.name}_X"
-        self._given: dict[FlatSignal, Text] = {}  # signals with a variable of their own inside the loop
         self._read = sorted(set(integrated_signals(self.program)), key=lambda s: s.path)
         self._inside = {s for g in self.program.stage if g.guard.always for a in g.actions for s in a.signals}
 
@@ -71,9 +71,14 @@ class Integration:
             self._stages(self.scope.constant(self.program.dt, "real"))
         for node in self.nodes:
             if node.trace.project:
+                values = {name: self.graph.of(node, e) for name, e in node.trace.project.items()}
                 with step.renderer.within() as body:
-                    self._project(node)
+                    renderer = self._renderer(self.x)
+                    commit(renderer, changed(node, values, partial(self._member, self.x, node)))
                 step.guarded(step.tests(node.guard), body)
+
+    def _member(self, struct: str, node: Node, name: str) -> str:
+        return f"{struct}.{self.layout.states[node, name].name}"
 
     def _assign(self, target: str, value: str, declared: str = "", *reads: str) -> Statement:
         return Assign(target, value, declared, role=ROLE, reads=frozenset(map(name_of, reads)))
@@ -92,13 +97,12 @@ class Integration:
                 reads |= {fraction, after, start, end}
                 body.append(IfStatement(test, [self._assign(end, fraction, "", fraction)], role=ROLE, reads=reads))
                 name = self.names.new(f"{s.path}.now")
-                self._given[s] = Text.of(name)
                 now = f"{start} >= {fraction} ? {after} : {text}"
                 body.append(self._assign(name, now, f"const {self.real}", *reads))
+                step.renderer.know(step.graph.signal(s), Text.of(name))  # inside the loop
             dt = self.scope.constant(self.program.dt, "real")
             body.append(self._assign(h, f"({end} - {start}) * {dt}", f"const {self.real}", start, end))
             self._stages(h)
-            self._given.clear()
             body.append(self._assign(start, end, "", end))
         out.append(LoopStatement("do", body, f"while ({start} < {one});", role=ROLE, reads=frozenset((start,))))
 
@@ -153,7 +157,7 @@ class Integration:
         texts = iter(renderer.texts(e for _, s, e in rows if s.width is None))
         for node, state, e in rows:
             renderer.owner = node
-            target = f"{self.slope}.{self.layout.states[node, state.name].name}"
+            target = self._member(self.slope, node, state.name)
             if state.width is None:
                 renderer.put(target, next(texts))
             else:
@@ -180,19 +184,14 @@ class Integration:
 
         def state(node: Node, name: str) -> str:
             continuous = any(s.name == name for s in node.continuous)
-            return f"{states}.{self.layout.states[node, name].name}" if continuous else self.scope.state(node, name)
+            return self._member(states, node, name) if continuous else self.scope.state(node, name)
 
         made = self.scope.renderer(self.names, self.scope.leaf(state), self.graph.owner)
         made.out = self.step.renderer.out
         for s in self._read:
             if s not in again:
-                made.know(self.graph.signal(s), self._given.get(s) or self.step.signal(s))
+                made.know(self.graph.signal(s), self.step.signal(s))
         return made
-
-    def _project(self, node: Node) -> None:
-        renderer = self._renderer(self.x)
-        values = {name: self.graph.of(node, e) for name, e in node.trace.project.items()}
-        commit(renderer, changed(node, values, lambda name: f"{self.x}.{self.layout.states[node, name].name}"))
 
     def commit(self) -> None:
         """Add the continuous states of the next tick; those of disabled blocks keep theirs."""
@@ -200,11 +199,8 @@ class Integration:
         for node in self.nodes:
             if node.guard.always:
                 continue
-            body: list[Statement] = []
-            for s in node.continuous:
-                name = self.layout.states[node, s.name].name
-                role = "disabled states"
-                body.append(stored(f"{self.x}.{name}", f"s->x.{name}", s.kind, s.width, None, reads, role))
+            rows = [(s, self._member(self.x, node, s.name), self.scope.state(node, s.name)) for s in node.continuous]
+            body = [stored(x, old, s.kind, s.width, None, reads, "disabled states") for s, x, old in rows]
             enabled = all_of(self.step.tests(node.guard))
             out.append(IfStatement(f"!({enabled.text})", body, role="disabled states", reads=enabled.reads))
         out.append(Assign("s->x", self.x, role="next states", reads=frozenset(("s", self.x))))
