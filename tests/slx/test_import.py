@@ -531,6 +531,10 @@ def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:
     assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], 2.0 * DRAWN[0] + 0.5 - 3.0)
     (refused,) = import_system(whole, workspace={"k": np.array([[3.0]])}, dt=DT).refused
     assert "twice" in refused.why
+    method = "methods\nfunction y = twice(u)\ny = 2 * u;\nend\nend"
+    (tmp_path / "twice.m").write_text(f"\n% a class\nclassdef twice\n{method}\nend\n")
+    (refused,) = import_system(whole, workspace={"k": np.array([[3.0]])}, folders=[tmp_path], dt=DT).refused
+    assert "twice.m: there is no function in it, but a class" in refused.why
 
 
 def test_a_damaged_library_refuses_its_links_alone(tmp_path: Path) -> None:

@@ -78,6 +78,8 @@ class Code:
         self.prefix = ""
         """What the names of persistent variables begin with."""
         self.tokens = tokens_of(BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), text))
+        if next((token.text for token in self.tokens if token.kind != "line"), "") == "classdef":
+            raise NotComputed("there is no function in it, but a class")
         self.initial: dict[str, Value] = {}
         """First values of persistent variables, as the last run found them empty."""
         self.notes: list[str] = []
