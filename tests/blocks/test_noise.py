@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tests.blocks.elementary.numpy_evaluation import evaluate
-from tests.blocks.same_bits import same_bits
 from twodof.blocks import noise
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, leaf, tracing
@@ -71,7 +70,7 @@ def test_recorded_and_computed_agree_to_the_bit(what: Callable[..., Any], precis
                 if isinstance(value, numbers.UInt32):
                     assert value.value == expected
                 else:
-                    assert same_bits(value, expected)
+                    assert numbers.identical(value, expected)
 
 
 def test_uniforms_are_the_same_in_both_precisions() -> None:

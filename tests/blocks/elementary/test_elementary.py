@@ -12,7 +12,6 @@ from mpmath import mp, mpf
 from numpy.typing import NDArray
 
 from tests.blocks.elementary.numpy_evaluation import REALS, function, traced
-from tests.blocks.same_bits import same_bits
 from tests.patience import PATIENCE_S
 from twodof.blocks.elementary import coefficients, functions
 from twodof.blocks.elementary.functions import ARGUMENTS, FUNCTIONS
@@ -262,7 +261,7 @@ def test_arrays_and_the_reference_agree_to_the_bit(name: str, precision: str) ->
     with numbers.precision(precision):
         for row in zip(got, *columns, strict=True):
             value = FUNCTIONS[name](*row[1:])
-            assert same_bits(value, REALS[precision](row[0])), row
+            assert numbers.identical(value, REALS[precision](row[0])), row
 
 
 @both

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tests.blocks.elementary.numpy_evaluation import REALS, function
-from tests.blocks.same_bits import same_bits
 from twodof.blocks.elementary.functions import ARGUMENTS, FUNCTIONS
 from twodof.blocks.expressions import numbers
 
@@ -100,7 +99,7 @@ def test_special_cases_of_c99(precision: str) -> None:
     with numbers.precision(precision):
         for name, args, expected in table:
             got = FUNCTIONS[name](*map(real, args))
-            assert same_bits(got, real(expected)), f"{name}{args} = {got}, not {expected}"
+            assert numbers.identical(got, real(expected)), f"{name}{args} = {got}, not {expected}"
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.blocks.same_bits import same_bits
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Int32, UInt32, Vector
 from twodof.errors import DiagramError
@@ -73,8 +72,8 @@ def test_a_float64_that_leaks_into_a_float32_run_is_an_error() -> None:
         numbers.cast(np.float64(0.5), "real")
 
 
-def test_same_bits_knows_signed_zeros_and_one_nan() -> None:
-    assert not same_bits(np.float64(0.0), np.float64(-0.0))
-    assert same_bits(np.float64("nan"), -np.float64("nan"))
-    assert not same_bits(np.float32(1), np.float64(1))
-    assert same_bits(Vector([np.float64(1), np.float64("nan")]), Vector([np.float64(1), np.float64("nan")]))
+def test_identical_knows_signed_zeros_and_one_nan() -> None:
+    assert not numbers.identical(np.float64(0.0), np.float64(-0.0))
+    assert numbers.identical(np.float64("nan"), -np.float64("nan"))
+    assert not numbers.identical(np.float32(1), np.float64(1))
+    assert numbers.identical(Vector([np.float64(1), np.float64("nan")]), Vector([np.float64(1), np.float64("nan")]))

@@ -60,7 +60,7 @@ EXTRA: dict[str, list[Config]] = {
         {"samples": 4, "kind": "bool", "initial": True},
         {"samples": 2, "bound": 2, "kind": "int32", "width": 2},
     ],
-    "demux": [{"outputs": 3, "kind": "uint32"}],
+    "demux": [{"outputs": 3, "kind": "uint32"}, {"outputs": 40}],
     "discrete_derivative": [{"gain": 0.5, "width": 2}],
     "discrete_filter": [
         {"numerator": [1.0, 0.5, -0.2], "denominator": [2.0, -0.9]},
@@ -125,11 +125,11 @@ EXTRA: dict[str, list[Config]] = {
     "merge": [{"kind": _BUS}, {"inputs": 3, "initial": [1.0, 2.0], "width": 2}, {"initial": True, "kind": "bool"}],
     "minimum": [{"inputs": 3, "width": 2}, {"kind": "uint32"}],
     "moving_average": [{"samples": 7, "initial": 0.2}],
-    "multiport_switch": [{"kind": _BUS}, {"inputs": 3, "kind": "int32"}, {"inputs": 4, "width": 2}],
+    "multiport_switch": [{"kind": _BUS}, {"inputs": 39}, {"inputs": 3, "kind": "int32"}, {"inputs": 4, "width": 2}],
     "multisine": [
         {"harmonics": [1, 3, 7], "amplitudes": [1.0, 0.5, 0.2], "phases": [0.0, 1.0, 2.0], "period": 0.4, "start": 0.02}
     ],
-    "mux": [{"inputs": 4, "kind": "bool"}],
+    "mux": [{"inputs": 4, "kind": "bool"}, {"inputs": 40}],
     "noise": [{"deviation": 0.3, "mean": 1.0, "seed": 5, "stream": 7, "width": w} for w in (None, 2, 3, 4)],
     "notch": [{"frequency": 30.0, "width": 0.3, "depth": 0.1, "initial": 0.5}],
     "pid": [
@@ -176,7 +176,12 @@ EXTRA: dict[str, list[Config]] = {
     "store_read": [{"store": "other", "kind": "int32", "width": 2}],
     "store_write": [{"store": "other", "kind": "int32", "width": 2}],
     "step": [{"start": 0.1, "before": 0.2, "after": 0.3}],
-    "sum": [{"signs": "-+-", "width": 2}, {"signs": "+-", "kind": "int32"}, {"signs": "++", "kind": "uint32"}],
+    "sum": [
+        {"signs": "+-" * 20},
+        {"signs": "-+-", "width": 2},
+        {"signs": "+-", "kind": "int32"},
+        {"signs": "++", "kind": "uint32"},
+    ],
     "sum_of_elements": [{"width": 5}],
     "sweep": [
         *({"start_hz": 0.5, "end_hz": 20.0, "length": 0.6, "law": law} for law in ("linear", "logarithmic")),
@@ -202,40 +207,11 @@ SAMPLES: dict[str, list[Config]] = {name: [{}, *EXTRA.get(name, [])] for name in
 ROOMS = sorted({c.__module__.rpartition(".")[2] for c in LIBRARY.values()})
 
 
-BASE = (1, 0)
-
-
-def room(name: str, rate: tuple[int, int] = BASE) -> Diagram:
-    """Every sample of a module's blocks side by side; ports of one type share the diagram's inputs.
-
-    At the base rate each scalar real output drives a continuous lag, so that what it does inside the step is seen too.
-    At another rate the blocks that are for the base rate only are left out.
-    """
-    d = Diagram(name)
-    for type_name, cls in LIBRARY.items():
-        if cls.__module__.rpartition(".")[2] != name:
-            continue
-        for number, config in enumerate(SAMPLES[type_name]):
-            block, part = cls(**config), f"{type_name}_{number}"
-            if rate != BASE and (block.trace.edges or any(s.continuous for s in block.states)):
-                continue
-            d.add(part, block, rate=rate)
-            for position, port in enumerate(block.inputs):
-                d.connect(_input(d, port, position, rate), f"{part}.{port.name}")
-            for port in block.outputs:
-                d.output(f"{part}_{under(port)}", flat_output(d, part, port, rate))
-                if rate == BASE and port.kind == "real" and port.width is None:
-                    d.add(f"{part}_{under(port)}_lag", library.FirstOrder(1.0, 0.01), u=f"{part}.{port.name}")
-                    d.output(f"{part}_{under(port)}_lagged", f"{part}_{under(port)}_lag")
-            add_store(d, block, rate)
-    return d
-
-
-def add_store(d: Diagram, block: Block, rate: tuple[int, int] = BASE) -> None:
+def add_store(d: Diagram, block: Block) -> None:
     """The data store that a sample writes."""
     if isinstance(block, library.StoreWrite):
         port = block.inputs[0]
-        d.add(block.store, library.DataStore(0, port.kind, port.width), rate=rate)
+        d.add(block.store, library.DataStore(0, port.kind, port.width))
 
 
 def under(port: Port) -> str:
@@ -243,35 +219,22 @@ def under(port: Port) -> str:
     return port.name.replace(".", "_")
 
 
-def flat_output(d: Diagram, part: str, port: Port, rate: tuple[int, int] = BASE) -> str:
+def flat_output(d: Diagram, part: str, port: Port) -> str:
     """The source of an output's elements: of a matrix as a vector."""
     if port.shape is None or port.width is None:
         return f"{part}.{port.name}"
     flat = library.Reshape(port.shape, (port.width,), port.kind)
-    return d.add(f"{part}_{under(port)}_flat", flat, rate=rate, u=f"{part}.{port.name}")
+    return d.add(f"{part}_{under(port)}_flat", flat, u=f"{part}.{port.name}")
 
 
-def shaped_input(d: Diagram, source: str, port: Port, rate: tuple[int, int] = BASE) -> str:
+def shaped_input(d: Diagram, source: str, port: Port) -> str:
     """A source for `port` from one of its elements: of a matrix from a vector."""
     if port.shape is None or port.width is None:
         return source
     name = f"{source}_{port.shape[0]}x{port.shape[1]}"
     if name in d.parts:
         return name
-    return d.add(name, library.Reshape((port.width,), port.shape, port.kind), rate=rate, u=source)
-
-
-def _input(d: Diagram, port: Port, position: int, rate: tuple[int, int]) -> str:
-    return shaped_input(d, _flat_input(d, port, position, rate), port, rate)
-
-
-def _flat_input(d: Diagram, port: Port, position: int, rate: tuple[int, int]) -> str:
-    name = f"{port.kind}{port.width or ''}_{position}"
-    if name not in d.inputs:
-        d.input(name, port.kind, port.width)
-        if rate != BASE:
-            d.add(f"{name}_hold", library.ZeroOrderHold(port.kind, port.width), rate=rate, u=name)
-    return name if rate == BASE else f"{name}_hold"
+    return d.add(name, library.Reshape((port.width,), port.shape, port.kind), u=source)
 
 
 def random_inputs(d: Diagram, steps: int, seed: int, strange: bool) -> dict[str, np.ndarray]:

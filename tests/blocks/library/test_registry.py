@@ -1,21 +1,20 @@
 """Every block of the library: JSON, both precisions, the same bits interpreted and compiled, wrong arguments."""
 
-import numpy as np
+from dataclasses import replace
+
 import pytest
 
-from tests.blocks.library.samples import EXTRA, LIBRARY, ROOMS, SAMPLES, random_inputs, room
+from tests.blocks.library.samples import EXTRA, LIBRARY, ROOMS, SAMPLES
+from tests.compile.differential import KINDS, emitted, reference_run, same
+from tests.compile.whole_library import library_cases
+from tests.toolchains import need
 from twodof.blocks import library
 from twodof.blocks.block import Block, check_steady
-from twodof.blocks.diagram import Diagram
-from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.blocks.schema.json_form import from_json, to_json
-from twodof.compile import build
-from twodof.compile.machine import CompiledMachine
+from twodof.blocks.trace import MAX_PORTS
 from twodof.errors import DiagramError
 
 pytestmark = pytest.mark.slow
-
-DT = 0.004
 
 
 def test_the_library_exports_what_it_registers() -> None:
@@ -35,89 +34,32 @@ def test_every_block_has_defaults_and_a_docstring(type_name: str) -> None:
         assert len(block.outputs) >= 1
 
 
-def feed(
-    machine: CompiledMachine | ReferenceMachine, d_inputs: dict[str, np.ndarray], steps: int
-) -> dict[str, np.ndarray]:
-    return {name: np.asarray(rows) for name, rows in machine.run(steps, d_inputs).items()}
-
-
-def different(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
-    """The signals that differ in a bit; every NaN is the same, -0.0 is not 0.0."""
-    names = []
-    for name, a in first.items():
-        b = second[name]
-        if a.dtype.kind == "f":
-            same = (a == b) & (np.signbit(a) == np.signbit(b)) | (np.isnan(a) & np.isnan(b))
-        else:
-            same = a == b
-        if a.shape != b.shape or not np.all(same):
-            names.append(name)
-    return names
-
-
-def tunable_reals(blocks: dict[str, Block]) -> dict[str, float]:
-    """Scalar real parameters by path, each a quarter larger where that is allowed."""
-    return {
-        f"{part}.{p.name}": 1.25 * p.value
-        for part, block in blocks.items()
-        for p in block.params
-        if p.kind == "real" and p.width is None and p.low <= 1.25 * p.value <= p.high
-    }
-
-
-@pytest.mark.parametrize(
-    ("precision", "rate", "steps"),
-    [
-        ("float64", (1, 0), 45),
-        ("float32", (3, 1), 60),
-        *(pytest.param(p, r, 120, marks=pytest.mark.soak) for p in ("float32", "float64") for r in ((1, 0), (3, 1))),
-    ],
-)
-@pytest.mark.parametrize("name", [n for n in ROOMS if n != "continuous"])
-def test_compiled_blocks_give_the_same_bits(name: str, precision: str, rate: tuple[int, int], steps: int) -> None:
-    compare(room(name, rate), precision, steps)
-
-
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("steps", [45, pytest.param(120, marks=pytest.mark.soak)])
-def test_compiled_continuous_blocks_give_the_same_bits(precision: str, steps: int) -> None:
-    compare(room("continuous"), precision, steps)
-
-
-def compare(d: Diagram, precision: str, most: int) -> None:
-    """The reference and the compiled program agree in every output and state. They run `most` steps of ordinary inputs,
-    a few with other parameters, and a few of strange inputs.
-    """
-    blocks = {part: p.item for part, p in d.parts.items() if isinstance(p.item, Block)}
-    program = build(d, DT, precision)
-    assert not isinstance(program, Reference), "there is no compiler to compare with"
-    machines = (Reference(d, DT, precision).machine(), program.machine())
-    for seed, strange, steps in ((1, False, most), (2, False, 10), (3, True, 15)):
-        with np.errstate(over="ignore"):  # 1e300 is infinite in float32
-            inputs = {
-                name: values.astype(precision) if values.dtype.kind == "f" else values
-                for name, values in random_inputs(d, steps, seed, strange).items()
-            }
-        rows = [feed(machine, inputs, steps) for machine in machines]
-        assert different(*rows) == []
-        for machine in machines:
-            machine.set_many(tunable_reals(blocks))
-    for part, block in blocks.items():
-        for state in block.states:
-            path = f"{part}.{state.name}"
-            ends = [{path: np.asarray(machine.state(path))} for machine in machines]
-            assert different(*ends) == []
+@pytest.mark.parametrize("name", ROOMS)
+def test_compiled_blocks_give_the_same_bits(name: str, precision: str) -> None:
+    """As `make thorough` does on all targets, at length."""
+    need("gcc")
+    cases = [case for extra in (False, True) for case in library_cases([name], 60, extra)]
+    expected = [reference_run(case, precision, "rk4") for case in cases]
+    assert KINDS["gcc-O0"].differences(cases, expected, emitted(cases, precision, "rk4")) == []
 
 
 @pytest.mark.parametrize("name", ROOMS)
 def test_json_keeps_every_block(name: str) -> None:
-    d = room(name)
-    text = to_json(d)
-    again = from_json(text)
-    assert to_json(again) == text
-    inputs = random_inputs(d, 10, 4, False)
-    rows = [feed(Reference(x, DT).machine(), inputs, 10) for x in (d, again)]
-    assert different(*rows) == []
+    for case in [case for extra in (False, True) for case in library_cases([name], 10, extra)]:
+        text = to_json(case.diagram)
+        again = from_json(text)
+        assert to_json(again) == text
+        signals = [reference_run(replace(case, diagram=d), "float64", "rk4").signals for d in (case.diagram, again)]
+        assert all(same(column, signals[1][path]).all() for path, column in signals[0].items())
+
+
+def test_a_port_after_z_is_named_by_its_number() -> None:
+    names = [port.name for port in library.Mux(MAX_PORTS).inputs]
+    assert names[:28] == [*"abcdefghijklmnopqrstuvwxyz", "u27", "u28"]
+    assert names[-1] == f"u{MAX_PORTS}"
+    with pytest.raises(DiagramError, match=rf"ports=1001 is not valid \(give an integer within 1 .. {MAX_PORTS}\)"):
+        library.Sum("+" * 1001)
 
 
 WRONG: list[tuple[type[Block], dict[str, object]]] = [

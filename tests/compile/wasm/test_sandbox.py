@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.blocks.library.samples import ROOMS, random_inputs, room
+from tests.blocks.library.samples import ROOMS, random_inputs
 from tests.compile import examples
+from tests.compile.whole_library import room
 from twodof.blocks import Diagram
 from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.builder import emit_program
@@ -123,7 +124,12 @@ def test_fuel_can_be_given() -> None:
 def test_the_fuel_of_a_step_is_a_bound_with_a_wide_margin(optimise: str) -> None:
     """The fuel, counted in the graphs, bounds the compiler's instructions even without optimisation."""
     worst = 0.0
-    diagrams = [*(room(name) for name in ROOMS), examples.loop(), examples.edge(), examples.delay(1000)]
+    diagrams = [
+        *(room(name, extra) for name in ROOMS for extra in (False, True)),
+        examples.loop(),
+        examples.edge(),
+        examples.delay(1000),
+    ]
     programs = emit([lower(d, 0.004) for d in diagrams])
     for diagram, program, backend in zip(diagrams, programs, Wasm(optimise=optimise).compile(programs), strict=True):
         machine: Any = CompiledProgram(program, backend).machine()

@@ -2,6 +2,7 @@
 
 import math
 import unicodedata
+from collections import Counter
 from collections.abc import Container, Mapping
 from dataclasses import fields
 from types import NoneType
@@ -38,6 +39,19 @@ MAX_TEXTS = 100_000  # characters of guards and actions written as texts
 MAX_UNIT = 40
 MAX_STRING = 1000  # an argument of a block
 STAGES = 4  # evaluations of a derivative in a step of RK4
+_LIMITS: Mapping[str, tuple[int, str, str]] = {
+    "parts": (MAX_PARTS, "parts", "make the diagram smaller"),
+    "declared": (MAX_DECLARED, "ports, states and parameters", "use arrays"),
+    "elements": (MAX_ELEMENTS, "values", "make arrays and delays shorter"),
+    "numbers": (MAX_NUMBERS, "numbers written out", "make tables shorter"),
+    "characters": (MAX_TEXTS, "characters of guards and actions", "use blocks or variables"),
+    "restarting": (
+        MAX_DECLARED,
+        "ports and states in diagrams that restart, counted for each such",
+        "let fewer of the diagrams within one another restart",
+    ),
+}
+"""What a diagram has in all: the limit, its name in an error, and the remedy."""
 
 POSITIONS = ("input_positions", "output_positions")
 _NAME = (str, None)
@@ -99,8 +113,8 @@ class Loader:
     """Builds one diagram and counts what it costs."""
 
     def __init__(self) -> None:
-        self.parts = self.declared = self.elements = self.numbers = self.restarting = 0
-        self.size = self.prepared = self.tick = self.stage = self.edges = self.characters = 0
+        self.counts = Counter[str]()
+        self.size = self.prepared = self.tick = self.stage = self.edges = 0
         self.integrates = False
         self.meter = CostMeter()
 
@@ -115,9 +129,7 @@ class Loader:
             d.declare(port)
         for param in self._declarations(Param, given["params"], path):
             d.param(**vars(param))
-        self.parts += len(given["parts"])
-        if self.parts > MAX_PARTS:  # counted before the first is made, which costs more than reading them
-            raise DiagramError(f"more than {MAX_PARTS} parts", path, "make the diagram smaller")
+        self._count("parts", len(given["parts"]), path)  # before the first is made, which costs more than reading them
         for form in given["parts"]:
             self._part(d, form, path, depth)
         for pair in given["connections"]:
@@ -128,7 +140,7 @@ class Loader:
             named = isinstance(pair, list) and len(pair) == 2 and isinstance(pair[0], str)
             if not named or not isinstance(pair[1], (str, type(None))):
                 raise DiagramError(f"{shown(pair)} is not an output", path, 'write ["name", "source"]')
-            self._count(1, 0, path)
+            self._count("declared", 1, path)
             d.output(*pair)
         inputs = {name.partition(".")[0] for name in d.inputs}  # a bus has one place
         d.input_positions = _positions(given, "input_positions", inputs, path)
@@ -141,13 +153,10 @@ class Loader:
         given = read(form, "a part", _PART, where)
         item: Block | Diagram
         if given["diagram"] is not None:
-            before = self.declared
+            before = self.counts["declared"]
             item = self.diagram(given["diagram"], where, depth + 1)
             if given["enabling"] == "restart":  # each such diagram sets the states of all that is inside
-                self.restarting += self.declared - before
-                if self.restarting > MAX_DECLARED:
-                    what = f"more than {MAX_DECLARED} ports and states in diagrams that restart, counted for each such"
-                    raise DiagramError(what, where, "let fewer of the diagrams within one another restart")
+                self._count("restarting", self.counts["declared"] - before, where)
         else:
             item = self.block(member(form, "block", dict, where), where)
         if given["commented"] not in ("", "out", "through") or (given["commented"] and isinstance(item, Block)):
@@ -182,7 +191,8 @@ class Loader:
         try:
             block = REGISTRY[kind](**config)
             declared: list[Any] = [*block.inputs, *block.outputs, *block.states, *block.params, *block.derived]
-            self._count(len(declared), sum(item.width or 1 for item in declared), where)
+            self._count("declared", len(declared), where)
+            self._count("elements", sum(item.width or 1 for item in declared), where)
             with at_most(2 * MAX_SIZE):
                 _ = block.trace
         except TwodofError as error:
@@ -205,11 +215,12 @@ class Loader:
             graph_from_json(block, given, where)
             return block
         machine = TracedMachine(given["name"], declared, given["crossing"])
-        machine_from_json(machine, given, where, self._spend)
+        machine_from_json(machine, given, where, lambda characters: self._count("characters", characters, ""))
         with located(where, keep=True), at_most(2 * MAX_SIZE):
             _ = machine.trace
         own = machine.states[len(machine.variables) :]
-        self._count(len(own), len(own), where)
+        self._count("declared", len(own), where)
+        self._count("elements", len(own), where)
         return machine
 
     def _measure(self, block: Block) -> None:
@@ -243,33 +254,26 @@ class Loader:
             )
 
     def _declarations(self, cls: type[Any], forms: list[Any], where: str) -> list[Any]:
-        if self.declared + len(forms) > MAX_DECLARED:  # before the first is made, which costs more than reading them
-            self._count(len(forms), 0, where)
+        self._count("declared", len(forms), where)  # before the first is made, which costs more than reading them
         return [self._declaration(cls, form, where) for form in forms]
 
     def _declaration(self, cls: type[Any], form: Any, where: str) -> Any:
         given = read(form, f"a {cls.__name__.lower()}", _FIELDS[cls], where)
         shape = given["shape"]
         size = shape if isinstance(shape, list) and len(shape) == 2 else [given["width"]]  # others are refused below
-        self._count(1, math.prod(n for n in size if type(n) is int), where)
+        self._count("elements", math.prod(n for n in size if type(n) is int), where)
         given |= {key: self._plain(given[key], where) for key in _NUMBERS if key in given}
         _visible(given["unit"], given.get("text", ""), where)
         name = given["name"] if NAME.fullmatch(given["name"]) else ""
         with located(f"{where}.{name}".rstrip(".")):
             return cls(**given)
 
-    def _count(self, declared: int, elements: int, where: str) -> None:
-        self.declared += declared
-        self.elements += elements
-        if self.declared > MAX_DECLARED:
-            raise DiagramError(f"more than {MAX_DECLARED} ports, states and parameters", where, "use arrays")
-        if self.elements > MAX_ELEMENTS:
-            raise DiagramError(f"more than {MAX_ELEMENTS} values", where, "make arrays and delays shorter")
-
-    def _spend(self, characters: int) -> None:
-        self.characters += characters
-        if self.characters > MAX_TEXTS:
-            raise DiagramError(f"more than {MAX_TEXTS} characters of guards and actions", "", "use blocks or variables")
+    def _count(self, what: str, number: int, where: str) -> None:
+        """Add to a count of `_LIMITS`. Raises DiagramError beyond its limit."""
+        self.counts[what] += number
+        most, things, remedy = _LIMITS[what]
+        if self.counts[what] > most:
+            raise DiagramError(f"more than {most} {things}", where, remedy)
 
     def _plain(self, value: Any, where: str, depth: int = 0, lists: int = 0) -> Any:
         """Return a value of a block's arguments with infinities and NaN decoded; count its numbers."""
@@ -280,9 +284,7 @@ class Loader:
                 raise DiagramError(f"lists within more than {MAX_LIST_DEPTH} lists", where, "write a number or a table")
             if isinstance(value, dict):
                 return {k: self._plain(v, where, depth + 1, lists) for k, v in value.items()}
-            self.numbers += len(value)
-            if self.numbers > MAX_NUMBERS:
-                raise DiagramError(f"more than {MAX_NUMBERS} numbers written out", where, "make tables shorter")
+            self._count("numbers", len(value), where)
             return [self._plain(v, where, depth + 1, lists + 1) for v in value]
         return text(value, MAX_STRING, where) if isinstance(value, str) else value
 
