@@ -56,7 +56,7 @@ def test_philox_gives_the_published_answers(counter: str, key: str, expected: st
 
 
 @both
-@pytest.mark.parametrize("what", [noise.words, noise.uniform, noise.uniform4, noise.normal, noise.normal4])
+@pytest.mark.parametrize("what", [noise.words, noise.uniform4, noise.normal, noise.normal4])
 def test_recorded_and_computed_agree_to_the_bit(what: Callable[..., Any], precision: str) -> None:
     rng = np.random.default_rng(3)
     seed, stream = (int(v) for v in rng.integers(0, 2**32, 2))

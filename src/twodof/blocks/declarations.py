@@ -64,40 +64,61 @@ def check_tick(dt: object, where: str) -> float:
     return float(tick)
 
 
-def _is_bus(declared: "Port | State | Param") -> bool:
-    """Return True for a declaration of a bus, which stands for its fields with the rest of what is declared."""
-    kind = declared.kind
-    if isinstance(kind, Mapping) and "fields" in kind:
-        with located(f"{declared.name!s:.80}"):
-            kind = as_bus(kind)
-        object.__setattr__(declared, "kind", kind)
-    if not isinstance(kind, Bus):
-        return False
-    check_name(declared.name, "block")
-    if (declared.shape, declared.unit, declared.enum) != (None, "", None):
-        what = "a bus has no shape, unit or enumeration"
-        raise DiagramError(what, declared.name, "give them to its fields; an array of buses has a width")
-    _check_width(declared, "one bus")
-    return True
-
-
-def _check_width(declared: "Port | State | Param", single: str) -> None:
-    width = declared.width
-    if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
-        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", declared.name, f"use None for {single}")
-
-
 def _settle(declared: "Port | State | Param", *plain: str) -> bool:
     """Turn the fields of a declaration into plain data and check them; return False for a bus.
 
-    Values of numpy in the fields `plain` become Python's, which compare and go into files.
+    Values of numpy in the fields `plain` become Python's, which compare and go into files. A bus stands for its fields
+    with the rest of what is declared. A kind that is an enumeration becomes int32, and what is declared of it numbers.
     """
+    where = f"{declared.name!s:.80}"
+
+    def put(name: str, value: Any) -> None:
+        object.__setattr__(declared, name, value)
+
     for name in plain:
-        object.__setattr__(declared, name, plain_data(getattr(declared, name), f"{declared.name!s:.80}"))
-    if _is_bus(declared):
+        put(name, plain_data(getattr(declared, name), where))
+    if isinstance(declared.kind, Mapping) and "fields" in declared.kind:
+        with located(where):
+            put("kind", as_bus(declared.kind))
+    width, single = declared.width, "one bus" if isinstance(declared.kind, Bus) else "a scalar"
+    if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
+        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", where, f"use None for {single}")
+    if isinstance(declared.kind, Bus):
+        check_name(declared.name, "block")
+        if (declared.shape, declared.unit, declared.enum) != (None, "", None):
+            what = "a bus has no shape, unit or enumeration"
+            raise DiagramError(what, where, "give them to its fields; an array of buses has a width")
         return False
-    _keep_enumeration(declared)
-    _check_shape(declared)
+    enumeration = enumeration_of(declared.kind if declared.enum is None else declared.enum, where)
+    if enumeration is not None:
+        if declared.enum is not None and declared.kind not in ("real", "int32"):
+            what = f"an enumeration cannot be {shown(declared.kind)}"
+            raise DiagramError(what, where, "leave the type out: it is int32")
+        put("kind", "int32")
+        put("enum", enumeration)
+        key = "value" if isinstance(declared, Param) else "initial"
+        given = getattr(declared, key, None)
+        if isinstance(declared, Param) or (isinstance(declared, State) and not isinstance(given, str)):
+            put(key, enumeration.plain(given, where))
+    elif declared.enum is not None:
+        what = f"{shown(declared.enum)} is not an enumeration"
+        raise DiagramError(what, where, "give an enumeration, or leave `enum` out")
+    check_path(declared.name, "block")
+    if declared.shape is not None:
+        size = plain_data(declared.shape, where)
+        if not isinstance(size, list) or len(size) != 2 or any(type(n) is not int or n < 1 for n in size):
+            what = f"the shape {shown(declared.shape)} is not one of a matrix"
+            raise DiagramError(what, where, "write (rows, columns)")
+        rows, columns = size
+        if width not in (None, rows * columns):
+            what = f"the width {shown(width)} does not fit the shape {rows}x{columns}"
+            raise DiagramError(what, where, "leave the width of a matrix out")
+        put("shape", (rows, columns))
+        put("width", rows * columns)
+    if not isinstance(declared.unit, str):
+        raise DiagramError(f"the unit {shown(declared.unit)} is not text", where, 'write it as "m/s", or "" for none')
+    if declared.kind not in KINDS:
+        raise DiagramError(f"unknown type {shown(declared.kind)}", where, f"use one of {', '.join(KINDS)}")
     return True
 
 
@@ -114,55 +135,6 @@ def as_bus(form: Any) -> Any:
 
 
 _FIELD = {"name", "kind", "width", "unit", "shape", "enum"}
-
-
-def _keep_enumeration(declared: "Port | State | Param") -> None:
-    """Turn a kind that is an enumeration into int32 and that enumeration, and what is declared of it into numbers."""
-    where = f"{declared.name!s:.80}"
-    given = declared.kind if declared.enum is None else declared.enum
-    enumeration = enumeration_of(given, where)
-    if enumeration is None:
-        if declared.enum is not None:
-            what = f"{shown(declared.enum)} is not an enumeration"
-            raise DiagramError(what, where, "give an enumeration, or leave `enum` out")
-        return
-    if declared.enum is not None and declared.kind not in ("real", "int32"):
-        what = f"an enumeration cannot be {shown(declared.kind)}"
-        raise DiagramError(what, where, "leave the type out: it is int32")
-    object.__setattr__(declared, "kind", "int32")
-    object.__setattr__(declared, "enum", enumeration)
-    if isinstance(declared, Param):
-        object.__setattr__(declared, "value", enumeration.plain(declared.value, where))
-    elif isinstance(declared, State) and not isinstance(declared.initial, str):
-        object.__setattr__(declared, "initial", enumeration.plain(declared.initial, where))
-
-
-def check_shape(given: object, where: str) -> tuple[int, int]:
-    """Return `given` as the (rows, columns) of a matrix; raise DiagramError if it is none."""
-    size = plain_data(given, where)
-    if not isinstance(size, list) or len(size) != 2 or any(type(n) is not int or n < 1 for n in size):
-        raise DiagramError(f"the shape {shown(given)} is not one of a matrix", where, "write (rows, columns)")
-    return size[0], size[1]
-
-
-def _check_shape(declared: "Port | State | Param") -> None:
-    kind, name, unit = declared.kind, declared.name, declared.unit
-    check_path(name, "block")
-    if declared.shape is not None:
-        rows, columns = check_shape(declared.shape, name)
-        if declared.width not in (None, rows * columns):
-            raise DiagramError(
-                f"the width {shown(declared.width)} does not fit the shape {rows}x{columns}",
-                name,
-                "leave the width of a matrix out",
-            )
-        object.__setattr__(declared, "shape", (rows, columns))
-        object.__setattr__(declared, "width", rows * columns)
-    if not isinstance(unit, str):
-        raise DiagramError(f"the unit {shown(unit)} is not text", name, 'write it as "m/s", or "" for none')
-    if kind not in KINDS:
-        raise DiagramError(f"unknown type {shown(kind)}", name, f"use one of {', '.join(KINDS)}")
-    _check_width(declared, "a scalar")
 
 
 @contextmanager

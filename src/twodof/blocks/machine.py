@@ -188,7 +188,17 @@ class Machine(ABC):
         """Return an input's array, checked; integers wrap around."""
         if data.shape[:1] != (steps,):
             raise DiagramError(f"{len(data)} values for {steps} steps", port.name, "give one value, or one a step")
-        return fitting(port, data, data.shape == (steps, *axes(port)), "", "convert it")
+        if data.dtype.kind not in _ACCEPTED[port.kind] or data.shape != (steps, *axes(port)):
+            size = f"shape {port.shape}" if port.shape else f"width {port.width or 1}"
+            what = f"an array of {data.dtype} and shape {data.shape} is given for {port.kind} of {size}"
+            raise DiagramError(what, port.name, "convert it")
+        if port.enum is not None:
+            strange = data[~np.isin(data, list(port.enum.members.values()))]
+            if strange.size:
+                port.enum.plain(strange[0].item(), port.name)
+        if port.shape:  # its elements stand along the last axis, column after column
+            data = data.swapaxes(-1, -2).reshape(steps, -1)
+        return data.astype(port.kind) if port.kind in INTEGERS else data
 
 
 def axes(declared: Port | State | Param) -> tuple[int, ...]:
@@ -203,24 +213,3 @@ def as_rows(value: Any, shape: tuple[int, int] | None) -> Any:
     if isinstance(value, np.ndarray):
         return np.ascontiguousarray(value.reshape(*value.shape[:-1], shape[1], shape[0]).swapaxes(-1, -2))
     return rows_of(value, shape)
-
-
-def fitting(port: Port, data: NDArray[Any], fits: bool, room: str, remedy: str) -> NDArray[Any]:
-    """Return `data` in the port's type, if its own type allows that and its shape `fits`; else raise DiagramError.
-
-    The last axis of a matrix's is that of its elements, column after column.
-    """
-    if data.dtype.kind not in _ACCEPTED[port.kind] or not fits:
-        raise DiagramError(
-            f"an array of {data.dtype} and shape {data.shape} is given for {port.kind} of "
-            f"{f'shape {port.shape}' if port.shape else f'width {port.width or 1}'}{room}",
-            port.name,
-            remedy,
-        )
-    if port.enum is not None:
-        strange = data[~np.isin(data, list(port.enum.members.values()))]
-        if strange.size:
-            port.enum.plain(strange[0].item(), port.name)
-    if port.shape:
-        data = data.swapaxes(-1, -2).reshape(*data.shape[:-2], -1)
-    return data.astype(port.kind) if port.kind in INTEGERS else data

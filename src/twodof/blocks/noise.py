@@ -42,19 +42,9 @@ def words(seed: Any, stream: Any, tick: Any) -> tuple[Any, Any, Any, Any]:
     return philox((tick, 0, 0, 0), (seed, stream))
 
 
-def _uniform(word: Any) -> Any:
-    return to_real(word >> 8) * 2.0**-24
-
-
-def uniform(seed: Any, stream: Any, tick: Any) -> Any:
-    """Uniform on [0, 1): a multiple of 2^-24, the same value in both precisions."""
-    return _uniform(words(seed, stream, tick)[0])
-
-
-def uniform4(seed: Any, stream: Any, tick: Any) -> tuple[Any, Any, Any, Any]:
-    """Four independent numbers as `uniform` gives them; the first is `uniform`'s."""
-    a, b, c, d = (_uniform(word) for word in words(seed, stream, tick))
-    return a, b, c, d
+def uniform4(seed: Any, stream: Any, tick: Any) -> tuple[Any, ...]:
+    """Four independent numbers, uniform on [0, 1): multiples of 2^-24, the same values in both precisions."""
+    return tuple(to_real(word >> 8) * 2.0**-24 for word in words(seed, stream, tick))
 
 
 def normals(length: Any, direction: Any) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from twodof.blocks.elementwise import count
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
-from twodof.blocks.noise import normal, normal4, uniform, uniform4
+from twodof.blocks.noise import normal4, uniform4
 
 # Laws of test signals, shared with `twodof.excitation`. Sources: Jategaonkar, Flight Vehicle System Identification,
 # chapter 2; Golomb, Shift Register Sequences.
@@ -248,9 +248,8 @@ class ThreeTwoOneOneSource(_PatternSource):
 
 
 class _Random(Block):
-    """One number a tick, or up to 4 of one evaluation, made from random ones by `of`."""
+    """One number a tick, or up to 4 of one evaluation, made by `of` from those that `four` draws."""
 
-    one: Callable[..., Any]
     four: Callable[..., Any]
     of: Callable[..., Any]
 
@@ -266,9 +265,8 @@ class _Random(Block):
         ]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        if self.width is None:
-            return self.of(p, self.one(p.seed, p.stream, t.tick))
-        return vector([self.of(p, z) for z in self.four(p.seed, p.stream, t.tick)[: self.width]])
+        found = [self.of(p, z) for z in self.four(p.seed, p.stream, t.tick)[: self.width or 1]]
+        return found[0] if self.width is None else vector(found)
 
 
 @library_block("noise")
@@ -279,7 +277,7 @@ class Noise(_Random):
     different `seed`s.
     """
 
-    one, four = staticmethod(normal), staticmethod(normal4)
+    four = staticmethod(normal4)
 
     def __init__(
         self,
@@ -304,7 +302,7 @@ class UniformNoise(_Random):
     `width` up to 4 gives independent elements from one evaluation.
     """
 
-    one, four = staticmethod(uniform), staticmethod(uniform4)
+    four = staticmethod(uniform4)
 
     def __init__(
         self,

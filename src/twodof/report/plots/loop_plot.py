@@ -160,7 +160,8 @@ def _finish(panels: Mapping[str, Axes], colours: Colours, low: float, high: floa
     if "nyquist" in panels:
         nyquist, nichols = panels["nyquist"], panels["nichols"]
         cross: dict[str, Any] = {"color": colours["bad"], "markersize": 11, "markeredgewidth": 1.6}
-        _circle(nyquist, 0.0, 1.0, soft)
+        angle = np.linspace(0.0, 2.0 * np.pi, 200)
+        nyquist.plot(np.cos(angle), np.sin(angle), linestyle=(0, (2, 2)), **soft)
         nyquist.plot([-1.0], [0.0], "+", **cross)
         nyquist.set_xlim(-2.9, 1.8)
         nyquist.set_aspect("equal", adjustable="box")
@@ -175,11 +176,6 @@ def _in_steps(ax: Axes, step: float, least: float, most: float) -> None:
     low, high = ax.dataLim.intervaly
     low, high = max(least, step * math.floor(low / step)), min(most, step * math.ceil(high / step))
     ax.set(ylim=(low, high), yticks=np.arange(low, high + 0.5 * step, step * max(1, round((high - low) / step / 8))))
-
-
-def _circle(ax: Axes, centre: float, radius: float, look: Mapping[str, Any]) -> None:
-    angle = np.linspace(0.0, 2.0 * np.pi, 200)
-    ax.plot(centre + radius * np.cos(angle), radius * np.sin(angle), linestyle=(0, (2, 2)), **look)
 
 
 def _sensitivity_contour(ax: Axes, peak: float, below: bool, look: Mapping[str, Any]) -> None:
