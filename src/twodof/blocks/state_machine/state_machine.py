@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import Port, State, located, numeric
+from twodof.blocks.declarations import Port, State, located
 from twodof.blocks.expressions.arrays import flat_of, shaped
-from twodof.blocks.expressions.expr import fault, int32, recording, to_real, uint32, where
+from twodof.blocks.expressions.expr import Expr, fault, int32, recording, to_real, uint32, where
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine.chart import (
     ELAPSED,
@@ -27,7 +27,7 @@ from twodof.blocks.state_machine.chart import (
     last,
     owner_clock,
 )
-from twodof.blocks.trace import SECTIONS, by_path, matrices, returned, with_matrices
+from twodof.blocks.trace import SECTIONS, computed, matrices, returned, with_matrices
 from twodof.errors import DiagramError
 
 LONGEST = 2**32 - 1  # ticks that a clock of a mode counts; then it stands
@@ -36,7 +36,7 @@ Values = dict[str, Any]
 
 
 class Reaction:
-    """The values of a machine's variables and clocks while a tick is computed; `outputs` are those given so far."""
+    """The values of a machine's variables and clocks while a tick is recorded; `outputs` are those given so far."""
 
     def __init__(self, machine: StateMachine, u: Any, x: Any, p: Any, t: Any) -> None:
         self.machine = machine
@@ -69,19 +69,8 @@ class Reaction:
         """Perform an action: its values take effect together."""
         if function is None:
             return
-        given = self.call(function, owner)
-        if recording():
-            flat: Values = dict(returned(function.place, given, self.declared, partial=True))
-        else:
-            if not isinstance(given, Mapping):
-                given = {self.declared[0].name: given}
-            given = by_path(given, [d.name for d in self.declared])
-            flat = {
-                d.name: numeric(given[d.name], d.kind, d.width, d.name, d.shape)
-                for d in self.declared
-                if d.name in given
-            }
-        for name, value in flat.items():
+        given = returned(function.place, self.call(function, owner), self.declared, partial=True)
+        for name, value in given.items():
             (self.values if name in self.variables else self.outputs)[name] = value
 
     def act(self, mode: Mode, action: str) -> None:
@@ -127,53 +116,27 @@ class Reaction:
 
 
 def react(machine: StateMachine, u: Any, x: Any, p: Any, t: Any) -> tuple[Values, Values]:
-    """Return the states and the outputs after a tick."""
-    reaction = Reaction(machine, u, x, p, t)
-    end = _recorded(reaction) if recording() else _on_numbers(reaction)
+    """Record a tick: return the states and the outputs after it."""
+    now = Reaction(machine, u, x, p, t)
+    leaves, mode = now.chart.leaves, now.values[MODE]
+    start = now.after(now.values)
+    start.begin()
+    now.grow_older()
+    values = start.values
+    for leaf in reversed(leaves):
+        values = _chosen(mode == leaf.number, _ways(now, leaf), values)
+    *others, end = [now.after(values) for _ in leaves]
+    for leaf, there in zip(leaves, [*others, end], strict=True):
+        there.stay(leaf)
+    for leaf, there in reversed(list(zip(leaves, others, strict=False))):
+        here = values[MODE] == leaf.number
+        end = now.after(_chosen(here, there.values, end.values), _chosen(here, there.outputs, end.outputs))
     states = [*machine.variables, *machine.graph.states]
     outputs = [(port, end.values if port.name in end.values else end.outputs) for port in machine.outputs]
     return (
         {s.name: shaped(end.values[s.name], s.shape) for s in states},
         {port.name: shaped(values[port.name], port.shape) for port, values in outputs},
     )
-
-
-def _on_numbers(now: Reaction) -> Reaction:
-    chart = now.chart
-    at = now.values[MODE].value
-    if 0 <= at < len(chart.leaves):
-        now.grow_older()
-        for route in chart.routes[at]:
-            if now.holds(route):
-                now.leave(route)
-                leaf = route.leaves[0]
-                if route.resumes is not None:
-                    known = now.values[last(route.resumes.name)].value
-                    leaf = next((one for one in route.leaves if one.number == known), leaf)
-                now.enter(leaf, route.entered)
-                break
-    else:
-        now.begin()
-    now.stay(chart.leaves[now.values[MODE].value])
-    return now
-
-
-def _recorded(now: Reaction) -> Reaction:
-    chart = now.chart
-    mode = now.values[MODE]
-    start = now.after(now.values)
-    start.begin()
-    now.grow_older()
-    values = start.values
-    for leaf in reversed(chart.leaves):
-        values = _chosen(mode == leaf.number, _ways(now, leaf), values)
-    *others, end = [now.after(values) for _ in chart.leaves]
-    for leaf, there in zip(chart.leaves, [*others, end], strict=True):
-        there.stay(leaf)
-    for leaf, there in reversed(list(zip(chart.leaves, others, strict=False))):
-        here = values[MODE] == leaf.number
-        end = now.after(_chosen(here, there.values, end.values), _chosen(here, there.outputs, end.outputs))
-    return end
 
 
 def _ways(now: Reaction, leaf: Leaf) -> Values:
@@ -257,7 +220,12 @@ class StateMachine(Block):
         raise fault("the states of a state machine are assigned", "declare what its actions change in `variables`")
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return react(self, u, x, p, t)[1]
+        return react(self, u, x, p, t)[1] if recording() else _computed(self.trace.outputs, u, x, p, t)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return react(self, u, x, p, t)[0]
+        return react(self, u, x, p, t)[0] if recording() else _computed(self.trace.update, u, x, p, t)
+
+
+def _computed(exprs: Mapping[str, Expr], u: Any, x: Any, p: Any, t: Any) -> Values:
+    """Return the values of a tick's recorded expressions: on numbers a machine is what was recorded of it."""
+    return dict(zip(exprs, computed(list(exprs.values()), u, x, p, t), strict=True))
