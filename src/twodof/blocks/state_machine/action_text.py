@@ -206,7 +206,8 @@ class _Reading:
                 return self._after(args, node, depth)
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
                 if name not in CALLED:
-                    raise TextFault(f"there is no function {name!r}", _column(node), f"there are: {_near(name)}")
+                    there = nearest(name, [*CALLED, "after"])
+                    raise TextFault(f"there is no function {name!r}", _column(node), f"there are: {there}")
                 return CALLED[name](*(self.value(one, depth) for one in args))
         operation: ast.AST = getattr(node, "op", node)
         instead = _INSTEAD.get(type(operation), _FORM)
@@ -247,16 +248,10 @@ def _unknown(name: str, known: Any, node: ast.AST) -> Any:
     raise TextFault(f"there is no name {name!r}", _column(node), f"there are: {nearest(name, known)}")
 
 
-def _near(name: str) -> str:
-    return nearest(name, [*CALLED, "after"])
-
-
 def _not(value: Any) -> Any:
     return not value if isinstance(value, bool) else ~value
 
 
 def _as_kept(value: Any, before: Any) -> Any:
     """Return `value` as the variable that was `before` keeps it; an array as it is."""
-    if isinstance(before, Expr):
-        return as_expr(value, before.kind) if before.width is None else value
-    return numbers.cast(value, numbers.kind_of(before)) if not hasattr(before, "__len__") else value
+    return as_expr(value, before.kind) if isinstance(before, Expr) and before.width is None else value

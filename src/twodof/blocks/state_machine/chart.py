@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from twodof.blocks.declarations import Declared, Port, State, check_name
 from twodof.blocks.enumeration import Enumeration, comparing, plain_data
@@ -242,6 +242,7 @@ MODE, ELAPSED, OUTER_ELAPSED = "mode", "elapsed", "elapsed_outer"
 STARTING = -1  # the mode before the first tick
 
 Recorded = dict[str, Expr]
+Found = TypeVar("Found")
 
 
 class Charted(Declared, Protocol):
@@ -291,10 +292,6 @@ class MachineGraph:
         """Return the values of a mode's action, by name."""
         return self.actions.get((mode, action), {})
 
-    def fault(self, function: MachineFunction, what: str, remedy: str) -> DiagramError:
-        """Return the error for a mistake in a guard or an action."""
-        return DiagramError(what, f"block {self._label}, {function.place}{function.line}", remedy)
-
     def _check_variables(self) -> None:
         given = self._machine.variables
         if isinstance(given, str) or not isinstance(given, Sequence) or not all(isinstance(v, State) for v in given):
@@ -331,22 +328,28 @@ class MachineGraph:
             raise DiagramError(found.what, f"block {self._label}, {function.place}{where}", found.remedy) from error
 
     def _guard(self, function: MachineFunction) -> Expr:
-        with tracing(f"{self._label}, {function.place}"), comparing(self._enumerated):
-            given = self._call(function)
+        def fitted(given: Any) -> Expr:
             try:
                 found = as_expr(given, "bool")
                 scalars("a guard", found)
             except DiagramError as error:
-                raise self.fault(function, f"the guard gives {_described(given)}", _BOOL) from error
-        return found
+                raise DiagramError(f"the guard gives {_described(given)}", "", _BOOL) from error
+            return found
+
+        return self._recorded(function, fitted)
 
     def _values(self, function: MachineFunction, declared: Sequence[Any]) -> Recorded:
+        return self._recorded(function, lambda given: returned(function.place, given, declared, partial=True))
+
+    def _recorded(self, function: MachineFunction, fitted: Callable[[Any], Found]) -> Found:
+        """Record a guard or an action, and return what it gives, `fitted` to what it should."""
         with tracing(f"{self._label}, {function.place}"), comparing(self._enumerated):
             given = self._call(function)
             try:
-                return returned(function.place, given, declared, partial=True)
+                return fitted(given)
             except DiagramError as error:
-                raise self.fault(function, error.what, error.remedy) from error
+                where = f"block {self._label}, {function.place}{function.line}"
+                raise DiagramError(error.what, where, error.remedy) from error
 
     def _check_outputs(self, chart: Chart) -> None:
         """Each output is given in each mode, or is a variable."""

@@ -7,27 +7,24 @@ from functools import cached_property
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import Port, State, located
+from twodof.blocks.declarations import State, located
 from twodof.blocks.expressions.arrays import flat_of, shaped
-from twodof.blocks.expressions.expr import Expr, fault, int32, recording, to_real, uint32, where
-from twodof.blocks.namespaces import States
+from twodof.blocks.expressions.expr import Expr, fault, int32, recording, uint32, where
 from twodof.blocks.state_machine.chart import (
     ELAPSED,
     MODE,
     OUTER_ELAPSED,
     Chart,
     Leaf,
-    MachineFunction,
     MachineGraph,
     Mode,
-    ModeClock,
     Route,
     Transition,
     check_ways,
     last,
     owner_clock,
 )
-from twodof.blocks.trace import SECTIONS, computed, matrices, returned, with_matrices
+from twodof.blocks.trace import SECTIONS, computed
 from twodof.errors import DiagramError
 
 LONGEST = 2**32 - 1  # ticks that a clock of a mode counts; then it stands
@@ -39,16 +36,13 @@ class Reaction:
     """The values of a machine's variables and clocks while a tick is recorded; `outputs` are those given so far."""
 
     def __init__(self, machine: StateMachine, u: Any, x: Any, p: Any, t: Any) -> None:
-        self.machine = machine
         self.chart = machine.chart
+        self.graph = MachineGraph(machine)  # recorded anew: a function that counts or remembers shows
         self.seen = u, p, t
-        names = [s.name for s in (*machine.variables, *machine.graph.states)]
-        self.values: Values = {ELAPSED: uint32(0), OUTER_ELAPSED: uint32(0), **{n: flat_of(x[n]) for n in names}}
+        kept = {s.name: flat_of(x[s.name]) for s in machine.states}
+        self.values: Values = {ELAPSED: uint32(0), OUTER_ELAPSED: uint32(0), **kept}
         self.outputs: Values = {}
-        self.variables: dict[str, State] = {v.name: v for v in machine.variables}
-        declared: dict[str, State | Port] = {**self.variables, **{port.name: port for port in machine.outputs}}
-        self.declared = list(declared.values())
-        self.shapes = matrices(machine.variables)
+        self.variables = {v.name for v in machine.variables}
 
     def after(self, values: Values, outputs: Values | None = None) -> Reaction:
         """Return a reaction that goes on from other values."""
@@ -57,25 +51,20 @@ class Reaction:
         made.values, made.outputs = dict(values), dict(outputs or {})
         return made
 
-    def call(self, function: MachineFunction, owner: Mode) -> Any:
-        """Call a guard or an action with the present variables and the time in `owner`."""
+    def computed(self, exprs: Mapping[str, Expr], owner: Mode) -> Values:
+        """Return what a guard or an action gives with the present variables and the time in `owner`."""
         u, p, t = self.seen
-        elapsed = self.values[owner_clock(owner in self.chart.outers)]
-        clock = ModeClock(t.tick, t.dt, t.base_dt, elapsed, to_real(elapsed) * t.dt)
-        x = with_matrices(States({name: self.values[name] for name in self.variables}), self.shapes)
-        return function(u, x, p, clock)
+        x = {**self.values, ELAPSED: self.values[owner_clock(owner in self.chart.outers)]}
+        return _computed(exprs, u, x, p, t)
 
-    def perform(self, function: MachineFunction | None, owner: Mode) -> None:
+    def perform(self, exprs: Mapping[str, Expr], owner: Mode) -> None:
         """Perform an action: its values take effect together."""
-        if function is None:
-            return
-        given = returned(function.place, self.call(function, owner), self.declared, partial=True)
-        for name, value in given.items():
+        for name, value in self.computed(exprs, owner).items():
             (self.values if name in self.variables else self.outputs)[name] = value
 
     def act(self, mode: Mode, action: str) -> None:
         """Perform an action of a mode."""
-        self.perform(self.chart.actions.get((mode.name, action)), mode)
+        self.perform(self.graph.action(mode.name, action), mode)
 
     def grow_older(self) -> None:
         """One more tick in the mode and in the one around it."""
@@ -85,13 +74,14 @@ class Reaction:
 
     def holds(self, route: Route) -> Any:
         """Return True if the guard of a transition holds."""
-        return self.call(self.chart.guards[route.number], self.chart.by_name[route.transition.source])
+        guard = {"": self.graph.guards[route.number]}
+        return self.computed(guard, self.chart.by_name[route.transition.source])[""]
 
     def leave(self, route: Route) -> None:
         """Perform the actions before a mode is entered."""
         for mode in route.left:
             self.act(mode, "exit")
-        self.perform(self.chart.does[route.number], self.chart.by_name[route.transition.source])
+        self.perform(self.graph.does[route.number], self.chart.by_name[route.transition.source])
 
     def begin(self) -> None:
         """Enter the first mode, with all clocks at 0."""
