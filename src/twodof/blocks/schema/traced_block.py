@@ -19,15 +19,13 @@ from twodof.blocks.expressions.graph import (
     walk,
 )
 from twodof.blocks.expressions.numbers import KINDS, fits
-from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
-from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED, MachineFunction
+from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED, MachineFunction, MachineGraph
 from twodof.blocks.trace import (
     SECTIONS,
     MethodGraphs,
     Trace,
     by_method,
-    computed,
     computed_graphs,
     leaves_of,
     matrices,
@@ -267,7 +265,7 @@ _TRANSITION: Fields = {"from": (str, None), "to": (str, None), "when": ((int, st
 
 
 class TracedMachine(StateMachine):
-    """A state machine whose guards and actions recompute recorded expressions."""
+    """A state machine whose guards and actions are recorded expressions."""
 
     def __init__(self, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool = False) -> None:
         _declare(self, "state machine", label, declared, crossing)
@@ -277,24 +275,13 @@ class TracedMachine(StateMachine):
     prepare = _recorded("prepare")
 
 
-class RecordedFunction:
-    """A guard (one expression, of no name) or an action (one for each name) of recorded expressions."""
-
-    def __init__(self, exprs: Mapping[str, Expr], shapes: Mapping[str, tuple[int, int]]) -> None:
-        self.exprs = exprs
-        self.shapes = shapes
-
-    def __call__(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        seen = States({**vars(x), ELAPSED: t.elapsed})
-        values = computed(list(self.exprs.values()), u, seen, p, t)
-        found = {n: shaped(value, self.shapes.get(n)) for n, value in zip(self.exprs, values, strict=True)}
-        return found.get("", found)
-
-
 def machine_to_json(machine: StateMachine) -> dict[str, Any]:
     """Return the modes and transitions of a machine, whose guards and actions name rows of `nodes`."""
     chart, graph, prepare = machine.chart, machine.graph, machine.trace.prepare
-    roots = [e for function, exprs in _functions(machine) if function.text is None for e in exprs.values()]
+    given = [({"": e}, chart.guards[k]) for k, e in enumerate(graph.guards)]
+    given += [(exprs, function) for exprs, function in zip(graph.does, chart.does, strict=True) if function]
+    given += [(graph.actions[key], function) for key, function in chart.actions.items()]
+    roots = [e for exprs, function in given if function.text is None for e in exprs.values()]
     rows, number = nodes_to_json([*roots, *prepare.values()])
 
     def numbered(exprs: Mapping[str, Expr]) -> dict[str, int]:
@@ -336,15 +323,19 @@ def machine_from_json(
     elapsed = State(ELAPSED, 0, "uint32")
     made = nodes_from_json(form["nodes"], machine, [*machine.variables, elapsed], where)
     shapes = matrices(machine.variables, machine.outputs)
+    recorded: list[Expr] = []
 
     def values(given: Mapping[str, Any], name: str) -> dict[str, Expr]:
         return {key: picked(made, index, f"{name}.{key}", where) for key, index in given.items()}
 
-    def action(given: Mapping[str, Any] | str | None, name: str) -> RecordedFunction | str | None:
+    def action(given: Mapping[str, Any] | str | None, name: str) -> Mapping[str, Any] | str | None:
         if isinstance(given, str):
             spend(len(given))
+        if given is None or isinstance(given, str):
             return given
-        return None if given is None else RecordedFunction(values(given, name), shapes)
+        found = values(given, name)
+        recorded.extend(found.values())
+        return {key: shaped(e, shapes.get(key)) for key, e in found.items()}
 
     def mode(given: Any, depth: int = 0) -> Mode:
         if depth > 2:
@@ -362,52 +353,38 @@ def machine_from_json(
         if isinstance(guard, str):
             spend(len(guard))
         else:
-            guard = RecordedFunction({"": picked(made, guard, f"when of {text}", where)}, {})
+            guard = picked(made, guard, f"when of {text}", where)
+            recorded.append(guard)
         return Transition(t["from"], t["to"], guard, action(t["do"], f"do of {text}"))
 
     machine.graphs["prepare"] = {name: (e,) for name, e in values(form["prepare"], "prepare").items()}
     with located(where):
         machine.modes = [mode(one) for one in form["modes"]]
         machine.transitions = [transition(one) for one in form["transitions"]]
-        _check_size(machine)
+        # Before the first is followed: what is small in a file can be endless to follow.
+        if sum(sizes_of(recorded)) > MAX_SIZE:
+            raise too_large()
     with located(where, keep=True), at_most(2 * MAX_SIZE):
-        for function, exprs in _functions(machine):
-            if function.text is not None:
-                function.given = RecordedFunction(exprs, shapes)
+        graph = machine.graph
     with located(where):
-        _check_size(machine)
+        _check_size(machine, graph)
 
 
-def _functions(machine: StateMachine) -> list[tuple[MachineFunction, Mapping[str, Expr]]]:
-    """Return the guards and actions of a machine, each with its recorded expressions; a guard's has no name."""
-    chart, graph = machine.chart, machine.graph
-    guards = [(function, {"": e}) for function, e in zip(chart.guards, graph.guards, strict=True)]
-    does = [(f, exprs) for f, exprs in zip(chart.does, graph.does, strict=True) if f is not None]
-    return [*guards, *does, *((function, graph.actions[key]) for key, function in chart.actions.items())]
-
-
-def _check_size(machine: TracedMachine) -> None:
-    """Raise DiagramError if following all ways of a machine is too much work; before the first is followed.
-
-    A text that is not recorded yet does not count.
-    """
-    chart = machine.chart
-    functions: list[Any] = [f.given for f in (*chart.guards, *chart.does, *chart.actions.values()) if f is not None]
-    roots = [e for f in functions if isinstance(f, RecordedFunction) for e in f.exprs.values()]
+def _check_size(machine: TracedMachine, graph: MachineGraph) -> None:
+    """Raise DiagramError if following all ways of a machine is too much work; before the first is followed."""
+    chart, roots = machine.chart, graph.expressions
     sizes = dict(zip(map(id, roots), sizes_of(roots), strict=True))
 
-    def size(functions: Iterable[Any]) -> int:
-        given = [f.given for f in functions if f is not None and isinstance(f.given, RecordedFunction)]
-        return sum(sizes[id(e)] for one in given for e in one.exprs.values())
+    def size(modes: Iterable[Mode], action: str) -> int:
+        return sum(sizes[id(e)] for m in modes for e in graph.action(m.name, action).values())
 
     each = len(machine.variables) + 4
     total = sum(sizes_of(roots_of(machine.graphs)))
     for end in chart.leaves:
-        total += each + size(chart.actions.get((m.name, "during")) for m in end.path)
+        total += each + size(end.path, "during")
         for route in chart.routes[end.number]:
-            total += size([chart.guards[route.number], chart.does[route.number]])
-            total += size(chart.actions.get((m.name, "exit")) for m in route.left)
+            total += sum(sizes[id(e)] for e in (graph.guards[route.number], *graph.does[route.number].values()))
             entered = [m for one in route.leaves for m in (route.entered, one.mode) if m is not None]
-            total += each * len(route.leaves) + size(chart.actions.get((m.name, "entry")) for m in entered)
+            total += size(route.left, "exit") + each * len(route.leaves) + size(entered, "entry")
     if total > MAX_SIZE:
         raise too_large()

@@ -19,7 +19,7 @@ from twodof.errors import DiagramError, listed, nearest, shown
 ACTIONS = ("entry", "during", "exit")
 ARGUMENTS = ("u", "x", "p", "t")
 Action = Callable[..., Any] | Mapping[str, Any] | str | None
-Guard = Callable[..., Any] | bool | str
+Guard = Callable[..., Any] | Expr | bool | str
 
 
 @dataclass(frozen=True, eq=False)
