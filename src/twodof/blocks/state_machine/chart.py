@@ -381,23 +381,17 @@ class MachineGraph:
 
     def _own_states(self, chart: Chart) -> Sequence[State]:
         """Return the states for the mode, the times that are read, and the histories."""
-        read: set[bool] = {False} if any(port.name == ELAPSED for port in self._machine.outputs) else set()
-        for owner, roots in self._by_owner(chart):
-            if ELAPSED in leaves(roots, "state"):
-                read.add(chart.by_name[owner] in chart.outers)
+        owned = [(mode, [*exprs.values()]) for (mode, _), exprs in self.actions.items()]
+        for way, guard, does in zip(chart.transitions, self.guards, self.does, strict=True):
+            owned.append((way.source, [guard, *does.values()]))
+        read = {chart.by_name[owner] in chart.outers for owner, roots in owned if ELAPSED in leaves(roots, "state")}
+        shown = any(port.name == ELAPSED for port in self._machine.outputs)
         return [
             State(MODE, STARTING, "int32"),
-            *([State(ELAPSED, 0, "uint32")] if False in read else []),
+            *([State(ELAPSED, 0, "uint32")] if shown or False in read else []),
             *([State(OUTER_ELAPSED, 0, "uint32")] if True in read else []),
             *(State(last(m.name), chart.leaf(m).number, "int32") for m in chart.outers if m.history),
         ]
-
-    def _by_owner(self, chart: Chart) -> list[tuple[str, list[Expr]]]:
-        """Return the expressions, each with the mode whose time it reads."""
-        found = [(mode, [*exprs.values()]) for (mode, _), exprs in self.actions.items()]
-        for t, guard, does in zip(chart.transitions, self.guards, self.does, strict=True):
-            found.append((t.source, [guard, *does.values()]))
-        return found
 
 
 _BOOL = "return a bool: a comparison, or several with & | ~"
