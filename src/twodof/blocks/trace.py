@@ -18,7 +18,7 @@ from twodof.blocks.expressions.arrays import Matrix, flat_of, matrix, shape_of, 
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, recording, tracing
 from twodof.blocks.expressions.graph import Sight, evaluate, walk
 from twodof.blocks.expressions.numbers import STORED, Vector
-from twodof.blocks.namespaces import BusView, Clock, Inputs, Parameters, States
+from twodof.blocks.namespaces import BusView, Clock, Inputs, Namespace, Parameters, States
 from twodof.errors import DiagramError, nearest, shown
 
 OWN = "twodof"  # the package whose blocks are tested, not guarded
@@ -171,25 +171,30 @@ def leaves_of(op: str, declared: Sequence[Any]) -> dict[str, Expr]:
     return {d.name: leaf(op, d.name, d.kind, d.width) for d in declared}
 
 
+def _leaves(view: type[Namespace], op: str, declared: Sequence[Any]) -> Namespace:
+    return with_matrices(view(dict(leaves_of(op, declared))), matrices(declared))
+
+
+def views(block: Declared, states: Sequence[State]) -> tuple[Namespace, Namespace, Namespace]:
+    """Return the inputs, `states` and parameters that a method of `block` sees while it is traced."""
+    inputs, kept = _leaves(Inputs, "input", block.inputs), _leaves(States, "state", states)
+    return inputs, kept, _leaves(Parameters, "param", [*block.params, *block.derived])
+
+
 def trace_of(block: Declared) -> Trace:
     """Record the methods of `block`. Raises DiagramError if they break the language's rules."""
     check_declarations(block, type(block).__name__)
-    u, x = leaves_of("input", block.inputs), leaves_of("state", block.states)
-    given, clock = leaves_of("param", block.params), clock_leaves()
-    p = given | leaves_of("param", block.derived)
+    clock = clock_leaves()
     discrete = [s for s in block.states if not s.continuous]
     continuous = [s for s in block.states if s.continuous]
 
     enumerated = enumerations(block.inputs, block.states, block.params, block.derived)
-    shapes = matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived)
 
     def result(method: str) -> Any:
         # Each sees views of its own, through which it cannot reach another method's.
         if method == "prepare":
-            seen = with_matrices(Parameters(dict(given)), shapes[2])
-            return called(block, method, seen, Clock(None, clock["dt"], clock["base_dt"]))
-        views = Inputs(dict(u)), States(dict(x)), Parameters(dict(p))
-        return called(block, method, *map(with_matrices, views, shapes), Clock(**clock))
+            return called(block, method, _leaves(Parameters, "param", block.params), Clock(**clock | {"tick": None}))
+        return called(block, method, *views(block, block.states), Clock(**clock))
 
     def record(method: str, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
         with tracing(f"{type(block).__name__}.{method}"), comparing(enumerated):

@@ -9,11 +9,11 @@ from typing import Any, Protocol, TypeVar
 
 from twodof.blocks.declarations import Declared, Port, State, check_name
 from twodof.blocks.enumeration import Enumeration, comparing, plain_data
-from twodof.blocks.expressions.expr import Expr, as_expr, scalars, to_real, tracing
+from twodof.blocks.expressions.expr import Expr, as_expr, leaf, scalars, to_real, tracing
 from twodof.blocks.expressions.graph import leaves
-from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
+from twodof.blocks.namespaces import Clock
 from twodof.blocks.state_machine.action_text import ActionText, TextFault
-from twodof.blocks.trace import clock_leaves, enumerations, leaves_of, matrices, mistake, returned, with_matrices
+from twodof.blocks.trace import clock_leaves, enumerations, mistake, returned, views
 from twodof.errors import DiagramError, listed, nearest, shown
 
 ACTIONS = ("entry", "during", "exit")
@@ -166,11 +166,11 @@ class Chart:
                     what = f"the transition {shown(t.source)} -> {shown(t.target)} names no mode"
                     raise DiagramError(what, "", f"there are: {nearest(name, self.by_name)}")
         self.routes: list[list[Route]] = []
-        for leaf in self.leaves:
-            self.routes.append(list(self._routes(leaf)))
+        for start in self.leaves:
+            self.routes.append(list(self._routes(start)))
             ways = [sum(len(route.leaves) for route in routes) for routes in self.routes]
             if ways[-1] > MAX_WAYS or sum(ways) > MAX_ALL_WAYS:
-                what = f"more than {MAX_WAYS} ways out of {leaf.mode.name!r}, or {MAX_ALL_WAYS} in all"
+                what = f"more than {MAX_WAYS} ways out of {start.mode.name!r}, or {MAX_ALL_WAYS} in all"
                 raise DiagramError(what, "", "make several machines")
         self.guards = [MachineFunction(t.when, f"when of {t.text}", guard=True) for t in self.transitions]
         self.does = [None if t.do is None else MachineFunction(t.do, f"do of {t.text}") for t in self.transitions]
@@ -268,7 +268,6 @@ class MachineGraph:
         self._label = machine.label or type(machine).__name__
         chart = machine.chart
         self._check_variables()
-        self._shapes = matrices(machine.inputs), matrices(machine.variables), matrices(machine.params, machine.derived)
         self._enumerated = enumerations(machine.inputs, machine.variables, machine.params, machine.derived)
         both = _unique([*machine.variables, *machine.outputs])
         own = (MODE, ELAPSED)
@@ -307,17 +306,10 @@ class MachineGraph:
                 )
 
     def _call(self, function: MachineFunction) -> Any:
-        m = self._machine
-        clock, elapsed = clock_leaves(), leaves_of("state", [State(ELAPSED, 0, "uint32")])[ELAPSED]
-        parameters = leaves_of("param", m.params) | leaves_of("param", m.derived)
+        m, clock, elapsed = self._machine, clock_leaves(), leaf("state", ELAPSED, "uint32")
+        t = ModeClock(**clock, elapsed=elapsed, elapsed_time=to_real(elapsed) * clock["dt"])
         try:
-            t = ModeClock(clock["tick"], clock["dt"], clock["base_dt"], elapsed, to_real(elapsed) * clock["dt"])
-            return function(
-                with_matrices(Inputs(leaves_of("input", m.inputs)), self._shapes[0]),
-                with_matrices(States(leaves_of("state", m.variables)), self._shapes[1]),
-                with_matrices(Parameters(parameters), self._shapes[2]),
-                t,
-            )
+            return function(*views(m, m.variables), t)
         except TextFault as error:
             where = f"block {self._label}, {function.place}, {error.where}"
             raise DiagramError(error.what, where, error.remedy) from error
