@@ -5,12 +5,12 @@ import json
 import multiprocessing
 import os
 import signal
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import asdict, dataclass
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, nullcontext, suppress
+from dataclasses import asdict
+from multiprocessing.connection import Connection
 from multiprocessing.resource_tracker import ensure_running
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,9 @@ _END_S = 10.0
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """One thread in each process: the processes have the cores, and sums have one order."""
+
+_SPAWN = multiprocessing.get_context("spawn")
+_STARTING = threading.Lock()
 
 
 def campaign(
@@ -70,9 +73,8 @@ def campaign(
     head = {"campaign": name, "runs": len(runs), "plan": plan, "versions": versions()}
     with RowFile(path, head) if path is not None else nullcontext() as file:
         rows: list[Row] = [] if file is None else list(file.rows)
-        left = list(runs[len(rows) :])
-        with _Crew(measure, min(processes, len(left)), run_s, say) as crew:
-            for line in crew.lines(left):
+        with closing(_Crew(measure, run_s, say).lines(runs[len(rows) :], processes)) as lines:
+            for line in lines:
                 if file is not None:
                     file.append(line)
                 rows.append(json.loads(line))
@@ -80,121 +82,110 @@ def campaign(
     return rows
 
 
-@dataclass
 class _Worker:
-    process: SpawnProcess
-    connection: Connection
-    deadline: float
-    run: Run | None = None
-    started: bool = False
+    """Process that measures one run after the other."""
+
+    def __init__(self, measure: Measure) -> None:
+        self.connection, theirs = _SPAWN.Pipe()
+        self.process = _SPAWN.Process(target=_work, args=(theirs, measure), name="campaign", daemon=True)
+        with _for_children():
+            self.process.start()
+        theirs.close()
+
+    def answer(self, seconds: float) -> bytes | str:
+        """Return the next line of the process, or the reason of its end; it is ended after `seconds`."""
+        try:
+            if self.connection.poll(seconds):
+                return self.connection.recv_bytes()
+            reason = f"its process took over {seconds:g} s"
+        except (EOFError, OSError):
+            self.process.join(_END_S)
+            code = self.process.exitcode
+            how = f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
+            reason = f"its process ended ({how})"
+        self.end()
+        return reason
+
+    def end(self) -> None:
+        """Kill the process and close its connection."""
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
 
 
 class _Crew:
-    """Worker processes, which end with the block."""
+    """Threads, each of which keeps a worker process, gives it runs and starts it again if it ends."""
 
-    def __init__(self, measure: Measure, processes: int, run_s: float, say: Callable[[str], None]) -> None:
+    def __init__(self, measure: Measure, run_s: float, say: Callable[[str], None]) -> None:
         self._measure, self._run_s, self._say = measure, run_s, say
-        self._context = multiprocessing.get_context("spawn")
         self._workers: list[_Worker] = []
-        self._wanted = processes
+        self._own = threading.local()
+        self._ended = False
 
-    def __enter__(self) -> "_Crew":
-        return self
+    def lines(self, runs: Sequence[Run], processes: int) -> Generator[bytes]:
+        """Yield the row of each run as a line, in the order of `runs`. All processes end with the iterator."""
+        pool = ThreadPoolExecutor(max(1, min(processes, len(runs))))
+        try:
+            for row in [pool.submit(self._line, run) for run in runs]:
+                yield row.result()
+        finally:
+            self._ended = True
+            for worker in self._workers:
+                worker.process.kill()  # its thread meets the end of the connection
+            pool.shutdown(cancel_futures=True)
+            for worker in self._workers:
+                worker.end()
 
-    def __exit__(self, *_: object) -> None:
-        for worker in list(self._workers):
-            self._end(worker)
+    def _line(self, run: Run) -> bytes:
+        reason = ""
+        for _ in range(_TIMES):
+            worker = self._worker()
+            with suppress(OSError):  # it died: its connection ends
+                worker.connection.send(run)
+            line = worker.answer(self._run_s)
+            if isinstance(line, bytes):
+                return line
+            self._own.worker, reason = None, line
+            if self._ended:
+                break
+            self._say(f"run {run.number} ({run.case} seed {run.seed}): {reason}".replace("( ", "("))
+        return row_line(_row(run, failed=f"{reason}, {_TIMES} times"))
 
-    def lines(self, runs: Sequence[Run]) -> Iterator[bytes]:
-        """Yield the row of each run as a line, in the order of `runs`."""
-        waiting, ended, tries = list(reversed(runs)), dict[int, bytes](), dict[int, int]()
-        for run in runs:
-            while run.number not in ended:
-                self._give(waiting)
-                for worker, line in self._results():
-                    given, worker.run = worker.run, None
-                    assert given is not None
-                    if isinstance(line, bytes):
-                        ended[given.number] = line
-                        continue
-                    tries[given.number] = tries.get(given.number, 0) + 1
-                    self._say(f"run {given.number} ({given.case} seed {given.seed}): {line}".replace("( ", "("))
-                    if tries[given.number] < _TIMES:
-                        waiting.append(given)
-                    else:
-                        ended[given.number] = row_line(_row(given, failed=f"{line}, {_TIMES} times"))
-            yield ended.pop(run.number)
-
-    def _give(self, waiting: list[Run]) -> None:
-        """Start workers that are missing, and give a run to each that is idle."""
-        while len(self._workers) < self._wanted:
-            ours, theirs = self._context.Pipe()
-            process = self._context.Process(target=_work, args=(theirs, self._measure), name="campaign", daemon=True)
-            with _for_children():
-                process.start()
-            theirs.close()
-            self._workers.append(_Worker(process, ours, time.monotonic() + START_S))
-        for worker in self._workers:
-            if worker.started and worker.run is None and waiting:
-                worker.run, worker.deadline = waiting.pop(), time.monotonic() + self._run_s
-                with suppress(OSError):  # it died: its connection ends, which `_results` sees
-                    worker.connection.send(worker.run)
-
-    def _results(self) -> Iterator[tuple[_Worker, bytes | str]]:
-        """Wait for workers; yield each that is ready with its line, or with the reason of its end."""
-        asked = {one.connection: one for one in self._workers if one.run is not None or not one.started}
-        patience = min(worker.deadline for worker in asked.values()) - time.monotonic()
-        ready = set(wait(list(asked), max(0.0, patience)))
-        for connection, worker in asked.items():
-            result: bytes | str = b""
-            if connection in ready:
-                try:
-                    result = connection.recv_bytes()
-                except (EOFError, OSError):
-                    result = f"its process ended ({self._end(worker, _END_S)})"
-            elif time.monotonic() > worker.deadline:
-                self._end(worker)
-                result = f"its process took over {self._run_s:g} s"
-            if worker.run is not None and result:
-                yield worker, result
-            elif isinstance(result, str):
+    def _worker(self) -> _Worker:
+        """Return this thread's worker, started if there is none."""
+        worker: _Worker | None = getattr(self._own, "worker", None)
+        if worker is None:
+            worker = self._own.worker = _Worker(self._measure)
+            self._workers.append(worker)
+            if self._ended:
+                worker.process.kill()
+            reason = worker.answer(START_S)
+            if isinstance(reason, str):
                 raise ExperimentError(
-                    f"a process of the campaign does not start: {result}",
+                    f"a process of the campaign does not start: {reason}",
                     "campaign",
                     "read what it printed; `measure` must be a function or class of a module",
                 )
-            elif connection in ready:
-                worker.started = True
-
-    def _end(self, worker: _Worker, patience_s: float = 0.0) -> str:
-        """End a worker and forget it; return how it had ended by itself within `patience_s` [s]."""
-        self._workers.remove(worker)
-        worker.connection.close()
-        worker.process.join(patience_s)
-        code = worker.process.exitcode
-        worker.process.kill()
-        worker.process.join()
-        if code is not None and code < 0:
-            return f"signal {-code}"
-        return f"exit status {code}"
+        return worker
 
 
 @contextmanager
 def _for_children() -> Iterator[None]:
     """Let processes that start within the block ignore Ctrl-C, which ends the parent, and compute in one thread."""
-    ensure_running()  # starting the resource tracker unblocks the signal: start it before the block
-    before = {name: os.environ.get(name) for name in _THREADS}
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    with _STARTING:
+        ensure_running()  # starting the resource tracker unblocks the signal: start it before the block
+        before = {name: os.environ.get(name) for name in _THREADS}
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        os.environ.update(dict.fromkeys(_THREADS, "1"))
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _row(run: Run, **result: Any) -> Row:
