@@ -124,7 +124,6 @@ def make_fmu(
     precision: str = "float64",
     version: str = "3.0",
     log: Iterable[str] = (),
-    integrator: str = "rk4",
 ) -> Fmu:
     """Return the FMU of `diagram` for FMI `version`, "3.0" or "2.0"; the other arguments are those of `build`.
 
@@ -133,5 +132,5 @@ def make_fmu(
     """
     if version not in VERSIONS:
         raise DiagramError(f"there is no FMI {version!r:.40} here", diagram.name, f"use {' or '.join(VERSIONS)}")
-    emitted = emit_program(diagram, dt, precision, log, integrator)
+    emitted = emit_program(diagram, dt, precision, log)
     return Fmu(diagram, emitted, version, tuple(fmu_variables(emitted, version)))
