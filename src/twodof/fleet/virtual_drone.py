@@ -1,16 +1,16 @@
 """Virtual drones as child processes in lockstep; the error of a child that ended."""
 
 import re
-import selectors
 import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO
 
 from twodof.errors import LinkError
 
@@ -21,7 +21,7 @@ END_S = 5.0
 """Time a drone has to end [s]; it is killed afterwards."""
 
 _LISTENING = re.compile(rb"listening on tcpin(\S+)\s")  # the whole of the line
-_MOST_SAID = 4000
+_MOST_SAID = 50  # lines
 
 
 @contextmanager
@@ -51,67 +51,63 @@ def virtual_drones(
     given = ["--rings", *options] if rings else [*options]
     given += [option for name in controllers for option in ("--controller", str(name))]
     with TemporaryDirectory(prefix="twodof-") as folder, ExitStack() as stack:
-        drones: list[subprocess.Popen[bytes]] = []
-        urls: list[str] = []
-        stack.callback(_end, drones, urls)
+        drones: list[_Drone] = []
+        stack.callback(_end, drones)
         for number in range(count):
             own = ["--seed", str(number + 1), "--state", str(Path(folder) / str(number))]
-            drones.append(_started(["--lockstep", "--rig", str(rig), *own, *given]))
+            drones.append(_Drone(["--lockstep", "--rig", str(rig), *own, *given]))
         end = time.monotonic() + START_S
-        urls.extend(_listening(drone, rig, end) for drone in drones)
-        yield urls
+        yield [drone.url(f"virtual drone on the rig {rig}", end) for drone in drones]
 
 
-def _started(options: Sequence[str]) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "twodof.fleet.child", "fcu", "--listen", "tcpin://127.0.0.1:0", *options]
-    return subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,  # never written to: the child ends when this pipe closes
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-        bufsize=0,
-    )
+class _Drone:
+    """Process of a drone, and a thread that reads its output: a full pipe would block the drone."""
 
+    def __init__(self, options: Sequence[str]) -> None:
+        command = [sys.executable, "-m", "twodof.fleet.child", "fcu", "--listen", "tcpin://127.0.0.1:0", *options]
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,  # never written to: the child ends when this pipe closes
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        self._said: deque[str] = deque(maxlen=_MOST_SAID)
+        self._url: Future[str] = Future()
+        threading.Thread(target=self._read, daemon=True).start()
 
-def _listening(process: subprocess.Popen[bytes], rig: str, end: float) -> str:
-    """Return the URL of `process` when it listens. `end` is the deadline on the monotonic clock."""
-    pipe, said = process.stdout, b""
-    if pipe is None:
-        raise LinkError("the flight controller has no output", f"rig {rig}", "report this")
-    with selectors.DefaultSelector() as selector:
-        selector.register(pipe, selectors.EVENT_READ)
-        while selector.select(max(0.0, end - time.monotonic())) and (piece := pipe.read(4096)):
-            said = (said + piece)[-_MOST_SAID:]
-            if found := _LISTENING.search(said):
-                # A full pipe would block the drone.
-                threading.Thread(target=_drain, args=(pipe,), daemon=True).start()
-                return "tcp" + found[1].decode()
-    raise child_error(said.decode(errors="replace").splitlines(), f"virtual drone on the rig {rig}")
+    def _read(self) -> None:
+        pipe = self.process.stdout
+        assert pipe is not None
+        with pipe:
+            for line in pipe:
+                self._said.append(line.decode(errors="replace"))
+                if not self._url.done() and (found := _LISTENING.search(line)):
+                    self._url.set_result("tcp" + found[1].decode())
+        if not self._url.done():
+            self._url.cancel()
 
-
-def _drain(pipe: IO[bytes]) -> None:
-    with pipe:
-        while pipe.read(4096):
-            pass
-
-
-def _end(processes: Sequence[subprocess.Popen[bytes]], urls: Sequence[str]) -> None:
-    """Terminate the processes, and kill them after `END_S`. Threads drain the first ones, which have `urls`."""
-    for process in processes:
-        process.terminate()
-    end = time.monotonic() + END_S
-    for process in processes:
+    def url(self, name: str, end: float) -> str:
+        """Return the drone's URL when it listens. `end` is the deadline on the monotonic clock."""
         try:
-            process.wait(max(0.0, end - time.monotonic()))
+            return self._url.result(max(0.0, end - time.monotonic()))
+        except (CancelledError, TimeoutError) as reason:
+            raise child_error("".join(self._said).splitlines(), name) from reason
+
+
+def _end(drones: Sequence[_Drone]) -> None:
+    """Terminate the processes, and kill them after `END_S`."""
+    for drone in drones:
+        drone.process.terminate()
+    end = time.monotonic() + END_S
+    for drone in drones:
+        try:
+            drone.process.wait(max(0.0, end - time.monotonic()))
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stdin is not None:
-            process.stdin.close()
-    for process in processes[len(urls) :]:
-        if process.stdout is not None:
-            process.stdout.close()
+            drone.process.kill()
+            drone.process.wait()
+        if drone.process.stdin is not None:
+            drone.process.stdin.close()
 
 
 _WHAT, _WHERE, _REMEDY = "error:", "  where:", "  remedy:"
