@@ -28,6 +28,7 @@ from twodof.rig.steady_state import stiffness
 from twodof.signals import PERIOD
 from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.resimulation import LoggedFlight, fit_percent
+from twodof.sim.time_alignment import step_clock
 
 Array = NDArray[np.float64]
 
@@ -120,9 +121,8 @@ def _disturbance(log: FlightLog, t0: float, t1: float, rig: Mapping[str, float],
             log.source,
             f"give stretches of {SHORTEST:g} s or more",
         )
-    index = np.concatenate(([0.0], np.cumsum(np.round(np.diff(stamps) / PERIOD))))
-    period, origin = (float(value) for value in np.polyfit(index, stamps, 1))
-    time = origin + period * np.arange(int(index[-1]) + 1)
+    period, origin, last = step_clock(stamps)
+    time = origin + period * np.arange(last + 1)
     rate, angle = np.interp(time, q.time, q.value), np.interp(time, theta.time, theta.value)
     fine = np.arange(time[0] - _LEAD, time[-1] + _TICK, _TICK)
     turned = np.interp(time, fine, _TICK * np.cumsum(_acceleration(log, fine, rig)))

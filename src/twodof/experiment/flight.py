@@ -27,6 +27,7 @@ from twodof.parameters import TUNABLES, ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.signals import PERIOD
 from twodof.sim.closed_loop import ClosedLoop, InitialState
+from twodof.sim.time_alignment import runs
 
 Signals = Mapping[str, NDArray[Any]]
 """Signals at the control steps of a flight, (steps,) by name; NaN marks a lost sample."""
@@ -136,9 +137,7 @@ def not_judged(reason: str) -> FlightCheck:
 def received(plan: Script, have: NDArray[np.bool_]) -> FlightCheck:
     """Check that enough samples were received; `have` (n,) marks the control steps with one."""
     missing = int((~have).sum())
-    flown = have[plan.begin : plan.end]
-    edges = np.flatnonzero(np.concatenate(([True], flown, [True])))
-    gap = float(np.diff(edges).max() - 1) * PERIOD
+    gap = max((b - a for a, b in runs(~have[plan.begin : plan.end])), default=0) * PERIOD
     good = missing <= MOST_LOST * len(have) and gap <= LONGEST_GAP
     seen = f"{len(have) - missing} of {len(have)}" + (
         f", longest gap in the excitation {1e3 * gap:.0f} ms" if gap else ""

@@ -2,7 +2,7 @@
 
 import functools
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -235,9 +235,9 @@ def _built(
     precision: str,
     log: tuple[str, ...],
     target: str = "native",
-) -> tuple[Diagram, CompiledProgram | Reference]:
+) -> CompiledProgram | Reference:
     diagram = closed_loop(position_filter=position_filter, controllers=controllers, failsafe=failsafe)
-    return diagram, build(diagram, BASE_DT, precision, log=log, target=target)
+    return build(diagram, BASE_DT, precision, log=log, target=target)
 
 
 _stock = functools.lru_cache(8)(_built)  # user diagrams may be changed between two loops
@@ -274,7 +274,7 @@ class ClosedLoop:
         # Gains are parameters: one program, compiled once, flies them all.
         flown = tuple(controllers)
         make = _built if flown else _stock
-        diagram, self.program = make(position_filter, flown, failsafe, precision, tuple(log), target)
+        self.program = make(position_filter, flown, failsafe, precision, tuple(log), target)
         if isinstance(self.program, Reference):  # not kept: a compiler may be installed before the next one
             _stock.cache_clear()
         self.machine = self.program.machine()
@@ -290,7 +290,7 @@ class ClosedLoop:
         """Path in the closed loop of each stock parameter, by its path in the flight code and its name on the wire."""
         self.tune(gains)
         self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
-        self.states = frozenset(_state_paths(diagram))
+        self.states = frozenset(self.machine.states)
         self._flight_states = {path.removeprefix(FLIGHT) for path in self.states if path.startswith(FLIGHT)}
         self.inputs = (*SETPOINTS, *(SAFETY if failsafe else ()))
         self.failsafe = failsafe
@@ -384,12 +384,3 @@ class ClosedLoop:
         healthy = dict.fromkeys(("setpoint_new", "link_new", "imu_new"), True)
         late = dict.fromkeys(("step_late", "own_late"), False)
         return {**healthy, **late, "arm": np.repeat(arm, TICKS), "rings": bool(self.machine.get("rig.rings"))}
-
-
-def _state_paths(diagram: Diagram, prefix: str = "") -> Iterator[str]:
-    """Return the paths of all states of a diagram."""
-    for name, part in diagram.parts.items():
-        if isinstance(part.item, Diagram):
-            yield from _state_paths(part.item, f"{prefix}{name}.")
-        else:
-            yield from (f"{prefix}{name}.{state.name}" for state in part.item.states)

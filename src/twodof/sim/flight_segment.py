@@ -18,6 +18,7 @@ from twodof.flight.templates import TEMPLATES, check_template
 from twodof.flightlog.events import SETPOINTS, Event, Stretch, mode_at, modes, window
 from twodof.flightlog.log import FlightLog
 from twodof.signals import MODES, PERIOD, VELOCITY
+from twodof.sim.time_alignment import step_clock
 
 Change = tuple[float, str, float]
 """Change of a parameter: time [s] of the last step with the old value, the parameter's name or path, new value."""
@@ -248,8 +249,7 @@ def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
         raise LogError(
             f"only {len(stamps)} control steps between {t0:g} and {t1:g} s", log.source, "give a longer window"
         )
-    index = np.concatenate(([0.0], np.cumsum(np.round(np.diff(stamps) / PERIOD))))
-    period, origin = np.polyfit(index, stamps, 1)
+    period, origin, _ = step_clock(stamps)
     first = int(np.ceil((t0 - origin) / period))
     last = int(np.floor((t1 - origin) / period))
     if last - first > MAX_STEPS:

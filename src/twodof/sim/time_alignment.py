@@ -89,6 +89,16 @@ def runs(flags: Flags) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
+def step_clock(stamps: Floats) -> tuple[float, float, int]:
+    """Return period and origin [s] of the control steps by the drone's clock, and the number of the last of `stamps`.
+
+    They are those of a line through the jittering `stamps` (n,), each at a whole number of steps after the first.
+    """
+    number = np.concatenate(([0.0], np.cumsum(np.round(np.diff(stamps) / PERIOD))))
+    period, origin = np.polyfit(number, stamps, 1)
+    return float(period), float(origin), int(number[-1])
+
+
 def _stale(channel: Channel, index: NDArray[np.intp], age: Floats) -> Flags:
     """Where a newer sample than the one at `index` was due before the step and is not in the log."""
     if channel.period() < 1.5 * PERIOD:
