@@ -64,6 +64,11 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
     rows, kept = exported(made.program, names, part.commands == "torque")
     found = fields(made.program, len(made.program.own))
     where, frame = f"src/modules/{names.module}", airframe_file(names)
+    about, settings = f" {harmless(diagram.text, 100)}".rstrip(), _settings(names, part)
+    # PX4 runs it after its own modules have started.
+    stops = "\n".join(f"    {module} stop" for module in part.stops)
+    takeover = fill("takeover.sh", names, replaced=" and ".join(part.stops), stops=stops)
+    logged = logger_topics(names, part)
     files = {
         "README.md": readme(names, part, found, rows, kept, diagram.text),
         "diagram.json": to_json(diagram),
@@ -78,12 +83,12 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
         f"{where}/{names.class_name}.cpp": work_item(names, part, found),
         "msg/CMakeLists.txt": fill("messages.cmake", names),
         f"msg/{names.class_name}.msg": message(names, found),
-        f"etc/init.d-posix/airframes/{frame}": airframe(names, part, diagram.text),
-        f"etc/init.d-posix/airframes/{frame}.post": takeover(names, part),
-        "etc/logging/logger_topics.txt": logger_topics(names, part),
-        "sdcard/etc/config.txt": board_settings(names, part),
-        "sdcard/etc/extras.txt": takeover(names, part),
-        "sdcard/etc/logging/logger_topics.txt": logger_topics(names, part),
+        f"etc/init.d-posix/airframes/{frame}": fill("airframe.sh", names, about=about, settings=settings),
+        f"etc/init.d-posix/airframes/{frame}.post": takeover,
+        "etc/logging/logger_topics.txt": logged,
+        "sdcard/etc/config.txt": fill("config.txt", names, settings=settings),  # run after the airframe, on a board
+        "sdcard/etc/extras.txt": takeover,
+        "sdcard/etc/logging/logger_topics.txt": logged,
     }
     facts = {
         "module": names.module,
@@ -111,17 +116,6 @@ def airframe_file(names: ModuleNames) -> str:
     return f"{airframe_id(names)}_{names.module}"
 
 
-def airframe(names: ModuleNames, role: ModuleRole, text: str) -> str:
-    """Return the airframe's script: a multicopter with the rig's settings."""
-    about = f" {harmless(text, 100)}".rstrip()
-    return fill("airframe.sh", names, about=about, settings=_settings(names, role))
-
-
-def board_settings(names: ModuleNames, role: ModuleRole) -> str:
-    """Return etc/config.txt of a board's SD card, which PX4 runs after the airframe: settings without outputs."""
-    return fill("config.txt", names, settings=_settings(names, role))
-
-
 def _settings(names: ModuleNames, role: ModuleRole) -> str:
     """Return the rig's settings of PX4, and the drone's gains for PX4's own loops beside the diagram.
 
@@ -130,12 +124,6 @@ def _settings(names: ModuleNames, role: ModuleRole) -> str:
     """
     loops = "" if role.commands == "torque" else fill(f"loops_{role.commands}.sh", names)
     return fill("settings.sh", names) + loops
-
-
-def takeover(names: ModuleNames, role: ModuleRole) -> str:
-    """Return the .post script, which PX4 runs after its own modules have started."""
-    stops = "\n".join(f"    {module} stop" for module in role.stops)
-    return fill("takeover.sh", names, replaced=" and ".join(role.stops), stops=stops)
 
 
 def logger_topics(names: ModuleNames, role: ModuleRole) -> str:
