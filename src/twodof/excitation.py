@@ -10,6 +10,7 @@ Domain Approach", ch. 5.
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from math import inf, isfinite, log, pi, radians
@@ -171,9 +172,10 @@ class Excitation(ABC):
         return numbers
 
     def _real(self, name: str, value: Any) -> float:
-        if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(number := _as_float(value)):
-            raise self._mistake(name, f"{value!r:.80} is not a finite number")
-        return number
+        with suppress(OverflowError):  # an integer may be too large
+            if isinstance(value, Real) and not isinstance(value, bool) and isfinite(number := float(value)):
+                return number
+        raise self._mistake(name, f"{value!r:.80} is not a finite number")
 
 
 class _Held(Excitation):
@@ -456,14 +458,6 @@ def from_json(text: str) -> Excitation:
     if not isinstance(values, dict):
         raise ExperimentError("the text is not a JSON object", "excitation", "write it with to_json")
     return from_dict(values)
-
-
-def _as_float(value: Real) -> float:
-    """Convert a number to float; an integer that is too large becomes infinite."""
-    try:
-        return float(value)
-    except OverflowError:
-        return inf
 
 
 def _pattern(kind: str, unit_us: int, amplitude: float) -> tuple[list[int], list[float]]:

@@ -209,15 +209,12 @@ def expected_accuracy(
         bounds = {name: (row.lower, row.upper) for name, row in structure.unknowns.items() if name in own}
         known = {name: min(max(own[name], low), high) for name, (low, high) in bounds.items()} | dict(values or {})
         planned = _Plan(record, kind, known, before, free=not one.rings)
-        found, worse = planned.information(stops, _load(one, stops), noise)
+        # Gusts and vibration grow with the thrust, here over that of hover.
+        load = float(lift(one.thrust, stops["curve"]) / lift(HOVER, stops["curve"]))
+        found, worse = planned.information(stops, load, noise)
     except (IdentificationError, LogError) as reason:
         remark = f"the expected accuracy is unknown: {reason.what}"
     return ExpectedAccuracy(one, kind, x_start, found, remark, motion, pitch, rail, worse)
-
-
-def _load(one: Experiment, rig: Mapping[str, float]) -> float:
-    """Return the thrust over that of hover; gusts and vibration grow with it."""
-    return float(lift(one.thrust, rig["curve"]) / lift(HOVER, rig["curve"]))
 
 
 @dataclass(frozen=True, eq=False)

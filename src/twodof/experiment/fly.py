@@ -206,12 +206,6 @@ def _listening(drone: Drone, what: ActiveController) -> Iterator[_Heard]:
         yield heard
 
 
-def _in_words(causes: str) -> str:
-    """Translate the failsafe's causes into sentences."""
-    texts = {cause.name: cause.text for cause in CAUSES}
-    return "; ".join(texts.get(name.strip(), name.strip()) for name in causes.split(","))
-
-
 @dataclass
 class _Course:
     """One flight in progress; `first` is the tick of step 0, `flown` the number of steps flown.
@@ -342,7 +336,10 @@ class _Course:
     def _wrong(self) -> str:
         state = self.drone.state
         if state.safety.action != "none" and state.safety.reason:
-            self.acted = f"{state.safety.action}, since {_in_words(state.safety.reason)} ({state.safety.reason})"
+            texts = {cause.name: cause.text for cause in CAUSES}
+            causes = map(str.strip, state.safety.reason.split(","))
+            why = "; ".join(texts.get(name, name) for name in causes)
+            self.acted = f"{state.safety.action}, since {why} ({state.safety.reason})"
             return f"the failsafe acts: {self.acted}"
         if not state.armed:
             # After a disarm command the failsafe stops the motors and gives no reason.

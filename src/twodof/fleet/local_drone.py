@@ -63,14 +63,10 @@ def check_ports_free(first: int, drones: int) -> None:
     """Raise LinkError if a port of one of `drones` drones, from index `first` on, is in use."""
     for index in range(first, first + drones):
         if found := port_in_use(index):
-            free = (number for number in range(MOST_DRONES - drones + 1) if _all_free(number, drones))
-            other = next(free, None)
+            numbers = range(MOST_DRONES - drones + 1)
+            other = next((one for one in numbers if not any(map(port_in_use, range(one, one + drones)))), None)
             rest = "" if other is None else f", or take other numbers: --first {other + 1}"
             raise LinkError(found, "this machine", f"end that program, or ask who started it{rest}")
-
-
-def _all_free(first: int, drones: int) -> bool:
-    return not any(map(port_in_use, range(first, first + drones)))
 
 
 def port_owner(kind: str, port: int) -> str:

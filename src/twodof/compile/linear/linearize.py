@@ -197,8 +197,9 @@ class _Linearization(Slopes):
         inputs = [e for name, s in self.inputs.items() for e in element_names(name, s)]
         outputs = [e for name, s in self.outputs.items() for e in element_names(name, s)]
         point = dict(zip(names, map(float, values), strict=True))
+        read: Mapping[FlatSignal, Any] = self.point.inputs | self.step(slopes=False).made_plain()
         for name, s in self.inputs.items():
-            point |= dict(zip(element_names(name, s), self._input_values(s), strict=True))
+            point |= dict(zip(element_names(name, s), flat(read, [s]), strict=True))
         return LinearModel(
             a,
             b,
@@ -224,9 +225,6 @@ class _Linearization(Slopes):
             for s in node.block.states
             if node not in here and s.kind in FLOATS
         }
-
-    def _input_values(self, s: FlatSignal) -> list[float]:
-        return flat(self.point.inputs if s.node is None else self.step(slopes=False).made_plain(), [s])
 
     def _check_phases(self, found: Matrices) -> None:
         """Raise DiagramError if the model changes while a write index or a counter goes round."""

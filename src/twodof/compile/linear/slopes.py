@@ -154,13 +154,11 @@ class Slopes:
                 self.point.tick = tick
                 found, step, new = self._once(what, direction)
                 self.rounded |= step.tangent.rounded & self._paths
-                visits.append(_Visit(found, self._ties(step), dict(self.point.states), dict(self.point.held), tick))
+                ties = [t for t in step.tangent.ties if t.where in self._paths]
+                visits.append(_Visit(found, ties, dict(self.point.states), dict(self.point.held), tick))
                 if what == "next":
                     self._follow(step, new)
         return visits
-
-    def _ties(self, step: TangentStep) -> list[Tie]:
-        return [t for t in step.tangent.ties if t.where in self._paths]
 
     def _check(self, what: str, visits: Sequence[_Visit], total: Matrices) -> None:
         """Raise DiagramError if one of the ticks is on a kink. Of ticks that are alike the first is checked."""

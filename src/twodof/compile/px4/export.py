@@ -64,7 +64,11 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
     rows, kept = exported(made.program, names, part.commands == "torque")
     found = fields(made.program, len(made.program.own))
     where, frame = f"src/modules/{names.module}", airframe_file(names)
-    about, settings = f" {harmless(diagram.text, 100)}".rstrip(), _settings(names, part)
+    about = f" {harmless(diagram.text, 100)}".rstrip()
+    # With PX4's own loops beside the diagram the drone's gains too. The allocator moves the motors of a symmetric X by
+    # .7071 of the torque, so that the gains are the larger by sqrt(2).
+    loops = "" if part.commands == "torque" else fill(f"loops_{part.commands}.sh", names)
+    settings = fill("settings.sh", names) + loops
     # PX4 runs it after its own modules have started.
     stops = "\n".join(f"    {module} stop" for module in part.stops)
     takeover = fill("takeover.sh", names, replaced=" and ".join(part.stops), stops=stops)
@@ -114,16 +118,6 @@ def airframe_id(names: ModuleNames) -> int:
 def airframe_file(names: ModuleNames) -> str:
     """Return the airframe's file name, which PX4_SIM_MODEL may name too."""
     return f"{airframe_id(names)}_{names.module}"
-
-
-def _settings(names: ModuleNames, role: ModuleRole) -> str:
-    """Return the rig's settings of PX4, and the drone's gains for PX4's own loops beside the diagram.
-
-    With the allocator below, which moves the motors of a symmetric X by .7071 of the torque, the gains are the larger
-    by sqrt(2).
-    """
-    loops = "" if role.commands == "torque" else fill(f"loops_{role.commands}.sh", names)
-    return fill("settings.sh", names) + loops
 
 
 def logger_topics(names: ModuleNames, role: ModuleRole) -> str:
