@@ -25,7 +25,8 @@ from twodof.compile import build
 from twodof.errors import TwodofError
 from twodof.slx.importer import import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab.evaluation import assigned_names, read_workspace
+from twodof.slx.matlab.evaluation import assigned_names
+from twodof.slx.matlab.script import read_workspace
 from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 
@@ -94,7 +95,7 @@ def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
                 continue
             found: dict[str, Value] = {}
             with suppress(TwodofError):
-                read_workspace(file, found)
+                read_workspace(file, found, [file.parent, *folders])
             values = {name: value for name, value in found.items() if name in wanted} | values
     return values
 
@@ -103,8 +104,11 @@ def models(repository: Path) -> list[tuple[Path, list[Path]]]:
     """Return the models of a repository, each content once, with the folders of all its files."""
     files = sorted(one for one in repository.rglob("*.slx") if one.is_file())
     files += sorted(one for one in repository.rglob("*.mdl") if one.is_file())
+    files = [one for one in files if not one.name.startswith("._")]  # what macOS keeps beside a file
     beside = [one for end in ("sldd", "m") for one in repository.rglob(f"*.{end}")]
-    folders = sorted({one.parent for one in (*files, *beside)})
+    # Folders of classes, packages and private functions are on no path of MATLAB's.
+    off = re.compile(r"/(?:[@+]|private\b)")
+    folders = sorted({one.parent for one in (*files, *beside) if off.search(f"{one.parent}/") is None})
     once = {hashlib.sha256(one.read_bytes()).digest(): one for one in reversed(files)}
     return [(one, folders) for one in sorted(once.values())]
 

@@ -26,7 +26,7 @@ from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processo
 from twodof.compile.toolchain.compilers import find_compiler
 from twodof.errors import CompileError
 from twodof.slx.importer import Imported, import_system
-from twodof.slx.matlab.evaluation import run as run_script
+from twodof.slx.matlab.script import run as run_script
 from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 

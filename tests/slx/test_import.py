@@ -23,7 +23,7 @@ from twodof.compile import build
 from twodof.errors import DiagramError
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab.evaluation import read_workspace, run
+from twodof.slx.matlab.script import read_workspace, run
 from twodof.slx.model import read_model
 
 pytestmark = pytest.mark.slow
@@ -463,7 +463,7 @@ def test_links_stand_for_blocks_of_libraries_that_link_on_and_for_subsystems_of_
         ("Outport", "y", {}),
     ]
     whole = read_model(slx(model(blocks, [("u", "linked"), ("linked", "three"), ("three", "y")]), tmp_path / "m.slx"))
-    assert inspect(whole, [tmp_path]).names == {"k_1": ("threefold/Gain 2",)}
+    assert inspect(whole, [tmp_path]).names == {"k_1": ("three/Gain 2",)}
     given = {"k_1": np.array([[3.0]])}
     found = flown(import_system(whole, workspace=given, folders=[tmp_path], dt=DT), {"u": DRAWN[0]})
     assert np.array_equal(found["y"], 3.0 * (0.5 * DRAWN[0]))

@@ -22,7 +22,7 @@ from tests.slx.generated_c import built, drawn, leaves, value
 from twodof.compile import build
 from twodof.compile.machine import CompiledMachine
 from twodof.slx.importer import Imported, import_system
-from twodof.slx.matlab.evaluation import read_workspace, run
+from twodof.slx.matlab.script import read_workspace, run
 from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 

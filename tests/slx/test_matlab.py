@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from tests import toolchains
 from tests.patience import PATIENCE_S
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import assigned_names, evaluate, run
+from twodof.slx.matlab.evaluation import assigned_names, evaluate
+from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import Value, number
 
 pytestmark = pytest.mark.slow
@@ -126,15 +128,47 @@ def test_a_script_has_octaves_values(tmp_path: Path) -> None:
 def test_what_is_not_computed_is_said_by_line_and_leaves_no_old_value() -> None:
     workspace: dict[str, object] = {"h": np.ones((1, 1))}
     skipped = run(
-        "a = 1;\nsystem('rm -rf /');\nh = load('x.mat');\nfor k = 1:3\n  a = k;\nend\nclear all\nb = a + 1;", workspace
+        "a = 1;\nsystem('rm -rf /');\nh = load('x.mat');\nfor k = 1:3\n  a = rand(k);\nend\nclear all\nb = a + 1;",
+        workspace,
     )
     assert [(one.line, one.why) for one in skipped] == [
         (2, "system is not computed"),
         (3, "load is not computed"),
-        (4, "'for' is not computed"),
+        (5, "rand is not computed"),
         (8, "a has no value"),  # the loop may have changed it
     ]
     assert set(workspace) == set()
+
+
+def test_a_script_runs_files_of_its_folders_alone(tmp_path: Path) -> None:
+    """Fibonacci numbers: 1, 1, 2, 3, 5, ... from a function in a file, a loop, another script and a .mat file."""
+    (tmp_path / "next.m").write_text("function [c, d] = next(a, b)\n c = b;\n d = a + b;\n", encoding="utf-8")
+    (tmp_path / "start.m").write_text("a = 1; b = 1;\nload limits\n", encoding="utf-8")
+    (tmp_path / "again.m").write_text("again\n", encoding="utf-8")
+    savemat(tmp_path / "limits.mat", {"count": 8.0})
+    (tmp_path.parent / "outside.m").write_text("secret = 1;", encoding="utf-8")
+    code = """start
+for k = 1:count
+  [a, b] = next(a, b);
+  if b > 20, break, end
+end
+again
+run('../outside.m')
+switch k
+  case 6, text = 'six';
+  otherwise, text = 'another';
+end
+return
+a = 0;"""
+    workspace: dict[str, object] = {}
+    skipped = run(code, workspace, [tmp_path])
+    assert [one.line for one in skipped] == [6, 7]
+    assert "again.m, line 1: " in skipped[0].why
+    assert "scripts run each other too deep" in skipped[0].why
+    assert skipped[1].why == "../outside.m is not found"
+    values = {name: value.item() for name, value in workspace.items() if isinstance(value, np.ndarray)}
+    assert values == {"a": 13.0, "b": 21.0, "k": 6.0, "count": 8.0}
+    assert workspace["text"] == "six"
 
 
 @pytest.mark.parametrize(

@@ -405,3 +405,29 @@ def test_a_data_store_is_read_as_it_stood_before_the_step(tmp_path: Path) -> Non
     second: Blocks = [*blocks, ("DataStoreWrite", "again", {"DataStoreName": "total"})]
     (refused,) = imported(tmp_path, second, [*lines, ("u", "again")]).refused
     assert (refused.path, refused.why) == ("memory", "2 blocks write it, and a store has one writer")
+
+
+def test_recorded_data_of_a_subsystem_become_inputs(tmp_path: Path) -> None:
+    """A Signal Builder holds its data in a From Workspace: here they are given, as wide as what splits them."""
+    inside = (
+        [
+            ("FromWorkspace", "FromWs", {"VariableName": "tuvar"}),
+            ("Demux", "split", {"Outputs": "2", "Ports": "[1, 2]"}),
+            ("Outport", "first", {}),
+            ("Outport", "second", {"Port": "2"}),
+        ],
+        [("FromWs", "split"), ("split:1", "first"), ("split:2", "second")],
+    )
+    blocks: Blocks = [
+        ("SubSystem", "Signal Builder", {"Ports": "[0, 2]"}, inside),
+        ("FromFile", "log", {"FileName": "log.mat"}),
+        ("Sum", "sum", {"Inputs": "+-+", "Ports": "[3, 1]"}),
+        ("Goto", "unused", {"GotoTag": "a", "Commented": "on"}),
+        ("Goto", "goto", {"GotoTag": "a"}),
+        ("From", "from", {"GotoTag": "a"}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("Signal Builder:1", "sum:1"), ("Signal Builder:2", "sum:2"), ("log", "sum:3"), ("sum", "goto")]
+    found = imported(tmp_path, blocks, [*lines, ("sum", "unused"), ("from", "y")])
+    y = flown(found, tuvar=DRAWN[:2].T.copy(), log=DRAWN[2])["y"]
+    assert np.array_equal(y, (DRAWN[0] - DRAWN[1]) + DRAWN[2])

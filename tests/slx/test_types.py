@@ -14,7 +14,8 @@ from twodof.slx.data_types import kind_of
 from twodof.slx.dictionary import dictionary
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab.evaluation import evaluate, run
+from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.script import run
 from twodof.slx.model import read_model
 
 pytestmark = pytest.mark.slow
@@ -588,3 +589,30 @@ def test_numbers_of_single_and_double_are_each_rounded_as_their_type_says(tmp_pa
     for k, one in enumerate(wanted, start=1):
         assert found[f"y{k}"].dtype == one.dtype
         assert np.array_equal(found[f"y{k}"], one), k
+
+
+def test_a_selector_takes_places_from_its_input_or_from_a_start(tmp_path: Path) -> None:
+    """Element u2 of a vector, counted from 0; two elements from its place on; and an assignment there."""
+    place = {"IndexOptions": "Index vector (port)", "IndexMode": "Zero-based"}
+    start = {"IndexOptions": "Starting index (port)", "IndexMode": "Zero-based", "OutputSizes": "2"}
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double", "PortDimensions": "4"}),
+        ("Inport", "k", {"OutDataTypeStr": "uint8", "Port": "2"}),
+        ("Selector", "one", {**place, "Ports": "[2, 1]"}),
+        ("Selector", "two", {**start, "Ports": "[2, 1]"}),
+        ("Assignment", "put", {**place, "Ports": "[3, 1]"}),
+        ("Selector", "fixed", {"IndexOptions": "Starting index (dialog)", "Indices": "3", "OutputSizes": "2"}),
+        *(("Outport", name, {"Port": str(n)}) for n, name in enumerate(("a", "b", "c", "d"), start=1)),
+    ]
+    lines = [("u", "one:1"), ("k", "one:2"), ("u", "two:1"), ("k", "two:2"), ("u", "put:1"), ("one", "put:2")]
+    lines += [("k", "put:3"), ("u", "fixed"), ("one", "a"), ("two", "b"), ("put", "c"), ("fixed", "d")]
+    found = imported(tmp_path, blocks, lines)
+    assert found.diagram is not None, found.refused
+    rng = np.random.default_rng(3)
+    u, k = rng.normal(size=(200, 4)), rng.integers(0, 3, 200)
+    y = flown(found, {"u": u, "k": k.astype(np.uint8)})
+    rows = np.arange(200)
+    assert np.array_equal(y["a"], u[rows, k])
+    assert np.array_equal(y["b"], np.stack([u[rows, k], u[rows, k + 1]], 1))
+    assert np.array_equal(y["c"], u)
+    assert np.array_equal(y["d"], u[:, 2:])

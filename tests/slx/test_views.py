@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
+from tests.slx.files import model as parts_of
 from tests.slx.files import parts, slx, written
 from twodof.cli.slx import slx as command
 from twodof.slx.difference import difference
@@ -138,3 +139,21 @@ def test_the_commands(tmp_path: Path) -> None:
     assert run(command, ["diff", str(path), str(path)]).exit_code == 0
     same = run(command, ["diff", str(path), str(other), "--json"])
     assert json.loads(same.output)["wires"] == []
+
+
+def test_names_of_referenced_models_and_functions_are_listed(tmp_path: Path) -> None:
+    code = "function y = f(u, ...\n P, inner)\ny = P*u*inner;"
+    files = parts_of(
+        [
+            ("Gain", "k", {"Gain": "own*given"}),
+            ("Inport", "bus", {"OutDataTypeStr": "Bus: Sensors"}),
+            ("SubSystem", "f", {"SFBlockType": "MATLAB Function"}, ([("Inport", "u", {})], [])),
+        ],
+        [],
+    )
+    chart = f'<Stateflow><machine><chart><P Name="type">EML_CHART</P><P Name="name">f</P><P Name="script">{code}</P>'
+    files["simulink/stateflow.xml"] = f"{chart}</chart></machine></Stateflow>"
+    slx(files, tmp_path / "plant.slx")
+    values = {"ModelNameDialog": "plant.slx", "ParameterArgumentNames": "given, inner"}
+    top = read_model(slx(parts_of([("ModelReference", "Plant", values)], []), tmp_path / "top.slx"))
+    assert inspect(top, [tmp_path]).names == {"P": ("Plant/f",), "Sensors": ("Plant/bus",), "own": ("Plant/k",)}

@@ -19,7 +19,7 @@ from twodof.slx.difference import ModelDifference, difference
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import Inspection, Library
 from twodof.slx.inspection import inspect as inspect_model
-from twodof.slx.matlab.evaluation import read_workspace
+from twodof.slx.matlab.script import read_workspace
 from twodof.slx.model import read_model
 from twodof.slx.picture import sheet_name, sheet_svg
 
@@ -72,9 +72,9 @@ def import_(
         check_folder(out, force)
     names: dict[str, Any] = {}
     notes: list[str] = []
-    for file in workspace or []:
-        notes += [f"{file.name}, line {one.line}: {one.why}" for one in read_workspace(file, names)]
     folders = [model.parent, *(path or [])]
+    for file in workspace or []:
+        notes += [f"{file.name}, line {one.line}: {one.why}" for one in read_workspace(file, names, folders)]
     found = import_system(read_model(model), subsystem, names, folders, dt)
     if found.diagram is not None and out is not None:
         write_text(out, to_json(found.diagram))

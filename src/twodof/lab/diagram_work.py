@@ -34,7 +34,7 @@ from twodof.sim.linear import LOOPS, cascade_margins
 from twodof.sim.portable_loop import portable_loop
 from twodof.slx.importer import import_system
 from twodof.slx.inspection import SUFFIXES
-from twodof.slx.matlab.evaluation import read_workspace
+from twodof.slx.matlab.script import read_workspace
 from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 from twodof.slx.picture import sheet_svg
@@ -148,7 +148,7 @@ def simulink(folder: str, names: list[str], sizes: list[int], system: str) -> di
         for name, size in zip(names, sizes, strict=True):
             (place / name).write_bytes(stream.read(size))
             if not name.lower().endswith(SUFFIXES):
-                notes += [f"{name}, line {one.line}: {one.why}" for one in read_workspace(place / name, known)]
+                notes += [f"{name}, line {one.line}: {one.why}" for one in read_workspace(place / name, known, [place])]
     model = read_model(place / names[0])
     svg = sheet_svg(model, system)
     if len(svg) > MOST_PICTURE:

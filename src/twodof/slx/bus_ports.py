@@ -1,4 +1,4 @@
-"""Ports of single elements of a bus, "In Bus Element" and "Out Bus Element", as whole ports.
+"""Ports that Simulink draws otherwise: of single elements of a bus, and recorded data, which are inputs here.
 
 Simulink draws one port of a subsystem as many blocks, each with the path of one element. The importer knows a port as
 one block: here the blocks become selectors behind an Inport, or signals of a creator of buses in front of an Outport.
@@ -63,3 +63,49 @@ def _created(system: System, prefix: str, elements: dict[str, str]) -> str:
 
 def _line(name: str, source: str, sink: Pin) -> Line:
     return Line(name, Pin(source, "out", 1), Wire([], sink, []))
+
+
+_RECORDED = {"FromWorkspace": "VariableName", "FromFile": "FileName"}
+"""Sources of recorded data, with the parameter that names them."""
+
+
+def with_ports(system: System) -> System:
+    """Return a system in which recorded data are inputs, also those of its subsystems, and To Workspace outputs."""
+    system = with_bus_ports(system)
+    blocks, lines, recorded = dict(system.blocks), list(system.lines), list[SimulinkBlock]()
+    for sid, block in system.blocks.items():
+        if block.system is not None and not block.commented:
+            blocks[sid] = replace(block, system=_with_recorded(block.system, recorded))
+    own = [block for block in blocks.values() if block.type in _RECORDED and not block.commented]
+    count = sum(block.type == "Inport" for block in blocks.values())
+    for number, block in enumerate([*own, *recorded], start=count + 1):
+        said, port = block.values.get(_RECORDED[block.type], ""), _port("Inport", block, number)
+        port.name = said if said.isidentifier() else block.name
+        if block in recorded:
+            port.sid, goto = f"{block.sid} data", f"{block.sid} goto"
+            blocks[goto] = SimulinkBlock("Goto", goto, goto, {"GotoTag": goto, "TagVisibility": "global"})
+            lines.append(_line("", port.sid, Pin(goto, "in", 1)))
+        blocks[port.sid] = port
+    kept = [block for block in blocks.values() if block.type == "ToWorkspace" and not block.commented]
+    count = sum(block.type == "Outport" for block in blocks.values())
+    for number, block in enumerate(kept, start=count + 1):
+        blocks[block.sid] = _port("Outport", block, number)
+        blocks[block.sid].name = block.values.get("VariableName", "sim")
+    return System(blocks, lines)
+
+
+def _port(kind: str, block: SimulinkBlock, number: int) -> SimulinkBlock:
+    values = {"Port": str(number), "Position": block.values.get("Position", "")}
+    return SimulinkBlock(kind, block.name, block.sid, values)
+
+
+def _with_recorded(system: System, recorded: list[SimulinkBlock]) -> System:
+    """Return a system in which recorded data come From the top; their blocks are added to `recorded`."""
+    blocks = dict(system.blocks)
+    for sid, block in system.blocks.items():
+        if block.type in _RECORDED and not block.commented:
+            recorded.append(block)
+            blocks[sid] = replace(block, type="From", values={**block.values, "GotoTag": f"{sid} goto"})
+        elif block.system is not None and not block.commented:
+            blocks[sid] = replace(block, system=_with_recorded(block.system, recorded))
+    return System(blocks, system.lines)

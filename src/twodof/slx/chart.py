@@ -500,6 +500,8 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
             [collapsed(one.name) for one in sorted((b for b in blocks if b.type == kind), key=port_number)]
             for kind in ("Inport", "Outport")
         )
+        if blocks and not outputs:
+            return Made(None, [])
         if chart.function:
             item = MatlabFunction(chart.text, c.inputs, c.names, inputs, folders=c.folders)
         elif chart.form is None or len(inputs) != len(c.inputs):

@@ -22,7 +22,7 @@ from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, check_inputs
-from twodof.slx.bus_ports import with_bus_ports
+from twodof.slx.bus_ports import with_bus_ports, with_ports
 from twodof.slx.chart import function_rule
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
 from twodof.slx.connections import PASSING, STORES, Output, ReportLine, store_name
@@ -30,10 +30,21 @@ from twodof.slx.data_types import SINGLE, kind_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
-from twodof.slx.matlab.evaluation import evaluate, run
+from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
-from twodof.slx.model import CODED, Model, SimulinkBlock, System, below, collapsed, escaped, read_model
+from twodof.slx.model import (
+    CODED,
+    Model,
+    SimulinkBlock,
+    System,
+    below,
+    collapsed,
+    escaped,
+    read_model,
+    source_file,
+)
 from twodof.slx.precision import ROUTES, precise
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
@@ -105,17 +116,16 @@ class _Import(Wiring):
             names.update(dictionary(model.dictionary, self.folders))
         except DiagramError as reason:
             self.notes.append(str(reason))
-        texts = (text for _, block in model.blocks() for text in (*block.values.values(), *block.instance.values()))
-        names.update(enumerations(texts, self.folders))
+        names.update(enumerations(model.texts(), self.folders))
         if {"single", "double"} <= {block.values.get("OutDataTypeStr") for _, block in model.blocks()}:
             names[SINGLE] = True  # they are mixed: each has its own precision
         for callback in ("PreLoadFcn", "PostLoadFcn", "InitFcn"):
-            for skipped in run(model.callbacks.get(callback, ""), names):
+            for skipped in run(model.callbacks.get(callback, ""), names, self.folders):
                 self.notes.append(f"{model.name}, {callback}, line {skipped.line}: {skipped.why}")
         return names
 
     def run(self) -> Imported:
-        system, names = _with_ports(self.model.system(self.path)), self._names_at(self.path)
+        system, names = with_ports(self.model.system(self.path)), self._names_at(self.path)
         self._collect(self.path, system, names, None)
         self.dt = self._period()
         for key, block in self.blocks.items():
@@ -156,7 +166,7 @@ class _Import(Wiring):
                     continue  # who asks for it is refused
             else:
                 inner[name] = said
-        run(block.mask.initialization, inner)
+        run(block.mask.initialization, inner, self.folders)
         return {**names, **inner}
 
     def _collect(
@@ -237,8 +247,7 @@ class _Import(Wiring):
 
     def _referenced(self, block: SimulinkBlock, names: dict[str, Value], at: str) -> System:
         """Return the top of the model that a block refers to. It sees the workspace and its arguments, no masks."""
-        file = block.values.get("ModelNameDialog", block.values.get("ModelName", ""))
-        file = re.sub(r"\.(slx|mdl|slxp)$", "", file)
+        file = source_file(block)
         model = self._file(file, "model")
         if model.kind != "model":
             raise NotTranslated(f"{file} is a {model.kind}, not a model")
@@ -601,17 +610,3 @@ class _Import(Wiring):
         self.held[key] = before
         one, start = c.inputs[0], c.scalar("InitialCondition" if "InitialCondition" in c.values else "X0", "0")
         return Made(RateTransition(plain(start, one.kind), one.kind, one.width), [one])
-
-
-def _with_ports(system: System) -> System:
-    """Return a system whose From Workspace blocks are inputs and To Workspace blocks outputs, behind those it has."""
-    system = with_bus_ports(system)
-    blocks = dict(system.blocks)
-    for kind, port in (("FromWorkspace", "Inport"), ("ToWorkspace", "Outport")):
-        number = sum(block.type == port for block in blocks.values())
-        for sid, block in system.blocks.items():
-            if block.type == kind and not block.commented:
-                number += 1
-                values = {"Port": str(number), "Position": block.values.get("Position", "")}
-                blocks[sid] = SimulinkBlock(port, block.values.get("VariableName", "sim"), sid, values)
-    return System(blocks, system.lines)

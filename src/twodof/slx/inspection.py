@@ -5,7 +5,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +14,24 @@ from twodof.errors import DiagramError
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.matlab.evaluation import assigned_names, names_in
 from twodof.slx.matlab.values import FUNCTIONS
-from twodof.slx.model import Mask, Model, SimulinkBlock, System, below, collapsed, port_number, read_model
+from twodof.slx.model import (
+    Model,
+    SimulinkBlock,
+    SimulinkChart,
+    System,
+    below,
+    collapsed,
+    port_number,
+    read_model,
+    source_file,
+)
 
 OWN_LIBRARIES = ("simulink", "slpidlib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")
 """Libraries that are Simulink's own: their blocks stand for code and are in no file of the user's."""
 SUFFIXES = (".slx", ".mdl")
 
-_Names = dict[str, list[str]]
+DEEPEST = 40
+_ARGUMENTS = re.compile(r"^\s*function\b[^(\n]*\(([^)]*)\)", re.MULTILINE)
 # What MATLAB has beside the functions that are computed here: none of it is a variable of the user's.
 _MORE = """break case class else elseif end eval for function get_param gcb gcbh gcs global if interp1 isnan otherwise
 persistent poly polyfit rand randn return set_param sort squeeze std switch trapz var while Simulink fixdt i j"""
@@ -103,15 +114,10 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
     systems = list(model.root.walk())
     blocks = list(model.blocks())
     times = Counter(found for _, one in blocks if (found := sample_time(one)))
-    named = Counter(
-        collapsed(one.values.get("SourceBlock", "")).partition("/")[0] for _, one in blocks if one.type == "Reference"
-    )
-    named.update(name for _, one in blocks if (name := one.values.get("ReferencedSubsystem", "")))
+    named = Counter(source_file(one) for _, one in blocks if one.type == "Reference" or source_file(one))
     libraries = tuple(_library(name, count, folders) for name, count in named.most_common())
     lines = [line for _, system in systems for line in system.lines]
-    outside = set(
-        enumerations((text for _, one in blocks for text in (*one.values.values(), *one.instance.values())), folders)
-    )
+    outside = set(enumerations(model.texts(), folders))
     with suppress(DiagramError):  # a dictionary that is not found: its names have no value
         outside |= set(dictionary(model.dictionary, folders))
     return Inspection(
@@ -125,7 +131,7 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
         libraries,
         tuple(sorted(one.path for one in model.charts if one.function)),
         tuple(sorted(one.path for one in model.charts if not one.function)),
-        unresolved(model, [read_model(one.file) for one in libraries if one.file is not None], outside),
+        unresolved(model, _files(model, folders), outside),
         sum(one.commented for _, one in blocks),
         sum(line.source is None or next(line.wire.sinks(), None) is None for line in lines),
     )
@@ -157,38 +163,76 @@ def library_file(name: str, folders: Iterable[Path]) -> Path | None:
     return next((at for one in candidates for end in SUFFIXES if (at := one / f"{name}{end}").is_file()), None)
 
 
-def unresolved(
-    model: Model, libraries: Iterable[Model] = (), outside: Iterable[str] = ()
-) -> dict[str, tuple[str, ...]]:
-    """Return the names that values of blocks take from a workspace, each with the paths of up to three blocks.
+def _files(model: Model, folders: Sequence[Path]) -> list[Model]:
+    """Return the libraries, subsystems and models in the folders that a model needs, and those that they need."""
+    found: dict[str, Model] = {}
+    waiting = [model]
+    while waiting:
+        for name in {source_file(one) for _, one in waiting.pop().blocks() if not one.commented} - found.keys():
+            if name not in OWN_LIBRARIES and (file := library_file(name, folders)) is not None:
+                found[name] = read_model(file)
+                waiting.append(found[name])
+    return list(found.values())
 
-    Names `outside` have a value in a data dictionary or an enumeration's class.
 
-    What a link gives to a block of a library is read if the library is among `libraries`: only its mask tells a name
-    from a choice.
+def unresolved(model: Model, files: Sequence[Model] = (), outside: Iterable[str] = ()) -> dict[str, tuple[str, ...]]:
+    """Return the names that a model takes from a workspace, each with the paths of up to three blocks.
+
+    Names `outside` have a value in a data dictionary or an enumeration's class. Blocks of `files` count where the model
+    has them: what a link gives to a block of a library is a name or a choice, as its mask says.
     """
-    masks = {f"{one.name}/{path}": block.mask for one in libraries for path, block in one.blocks() if block.mask}
-    found: dict[str, list[str]] = {}
-    known = {name for code in model.callbacks.values() for name in assigned_names(code)} | set(outside)
-    _unresolved(model.root, "", known, masks, found)
-    for one in libraries:
-        if one.kind == "subsystem":  # a subsystem with a file of its own has the names of its model's workspace
-            _unresolved(one.root, one.name, known, masks, found)
-    return {name: tuple(paths[:3]) for name, paths in sorted(found.items())}
+    return {
+        name: tuple(dict.fromkeys(paths))[:3] for name, paths in sorted(_Names(model, files, outside).found.items())
+    }
 
 
-def _unresolved(system: System, path: str, known: set[str], masks: Mapping[str, Mask], found: _Names) -> None:
-    for block in system.blocks.values():
-        if block.commented:
-            continue
-        at = below(path, block)
-        mask = masks.get(collapsed(block.values.get("SourceBlock", ""))) if block.type == "Reference" else block.mask
-        given = {**block.values, **block.instance}  # a link's values stand beside its own in older files
-        values = [given.get(key, "") for key in (*VALUES.get(block.kind, ()), "SampleTime")]
-        if mask is not None:
-            values += [given.get(key, text) for key, text in mask.computed.items()]
-        for name in {name for value in values for name in names_in(value)} - known - _MATLAB:
-            found.setdefault(name, []).append(at)
-        if block.system is not None:
-            inner = known if mask is None else known | set(mask.parameters) | assigned_names(mask.initialization)
-            _unresolved(block.system, at, inner, masks, found)
+class _Names:
+    def __init__(self, model: Model, files: Sequence[Model], outside: Iterable[str]) -> None:
+        self.found: dict[str, list[str]] = {}
+        self.files = {one.name: one for one in files}
+        self.library_blocks = {f"{one.name}/{path}": block for one in files for path, block in one.blocks()}
+        self.arguments = {(one.name, collapsed(chart.path)): _arguments(chart) for one in (model, *files)
+                          for chart in one.charts}  # fmt: skip
+        self._walk(model.root, "", (model.name, ""), _assigned(model) | {*outside} | _MATLAB, 0)
+
+    def _walk(self, system: System, path: str, place: tuple[str, str], known: Set[str], depth: int) -> None:
+        """Look into a system, whose `place` is its file and the path there."""
+        for block in system.blocks.values() if depth < DEEPEST else ():
+            if block.commented:
+                continue
+            at, own = below(path, block), (place[0], below(place[1], block))
+            inner, mask, seen = block.system, block.mask, known
+            file, link = self.files.get(source_file(block)), collapsed(block.values.get("SourceBlock", ""))
+            if file is not None and block.type == "Reference":
+                inside = self.library_blocks.get(link)
+                inner, mask = (None, None) if inside is None else (inside.system, inside.mask)
+                own = (file.name, link.partition("/")[2])
+            elif file is not None:
+                inner, own = file.root, (file.name, "")
+                seen = known | _assigned(file) | {*names_in(block.values.get("ParameterArgumentNames", ""))}
+            given = {**block.values, **block.instance}  # a link's values stand beside its own in older files
+            values = [given.get(key, "") for key in (*VALUES.get(block.kind, ()), "SampleTime")]
+            values.append(given.get("OutDataTypeStr", "").partition("Bus:")[2])
+            if mask is not None:
+                values += [given.get(key, text) for key, text in mask.computed.items()]
+            taken = {name for value in values for name in names_in(value)} - known
+            if mask is not None:
+                seen = seen | set(mask.parameters) | assigned_names(mask.initialization)
+            ports = {collapsed(one.name) for one in inner.blocks.values()} if inner is not None else set()
+            for name in taken | (self.arguments.get(own, set()) - ports - seen):
+                self.found.setdefault(name, []).append(at)
+            if inner is not None:
+                self._walk(inner, at, own, seen, depth + 1)
+
+
+def _assigned(model: Model) -> set[str]:
+    return {name for code in model.callbacks.values() for name in assigned_names(code)}
+
+
+def _arguments(chart: SimulinkChart) -> set[str]:
+    """Return the names that a MATLAB Function takes as arguments, or a chart as parameters."""
+    if not chart.function:
+        data = [one for one in (chart.form or {}).get("inside", ()) if one["tag"] == "data"]
+        return {one["name"] for one in data if one["values"].get("scope") == "PARAMETER_DATA"}
+    head = _ARGUMENTS.search(chart.text)
+    return set() if head is None else set(names_in(head[1]))

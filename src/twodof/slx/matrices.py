@@ -4,25 +4,32 @@ A vector of Simulink is a column here, and so is a row: what needs a row's sizes
 left to right, as MathWorks' C does it.
 """
 
+import re
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from twodof.blocks.bus import Bus
+from twodof.blocks.expressions.numbers import KINDS
 from twodof.slx.data_types import signal_of
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.values import Value
 from twodof.slx.translation import Asked, Made, NotTranslated
 
+_BETWEEN = re.compile(r",(?![^\[(]*[\])])")
+"""A comma between expressions, outside brackets."""
 Line = Callable[[Asked], tuple[str, dict[str, Value]]]
 """What a block is in MATLAB: statements that give y, and values that they use by name."""
 
 
-def matrix(c: Asked, line: Line) -> Made:
-    """Return the block of a line of MATLAB."""
+def matrix(c: Asked, line: Line, outputs: int = 1) -> Made:
+    """Return the block of a line of MATLAB, which gives y, or y1, y2, ... of several outputs."""
     if any(isinstance(one.kind, Bus) for one in c.inputs):
         raise NotTranslated("a matrix of buses is not translated")
     text, values = line(c)
     names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
-    code = f"function y = f({', '.join([*names, *values])})\n{text}"
+    results = ", ".join(f"y{k}" for k in range(1, outputs + 1)) if outputs > 1 else "y"
+    code = f"function [{results}] = f({', '.join([*names, *values])})\n{text}"
     item = MatlabFunction(code, c.inputs, values, names)
     return Made(item, [signal_of(port) for port in item.outputs], expand=False)
 
@@ -55,7 +62,12 @@ def _gain(c: Asked) -> tuple[str, dict[str, Value]]:
     c.kind("real")
     texts = {"Element-wise(K.*u)": "K.*u1", "Matrix(u*K)": "u1*K"}
     texts |= dict.fromkeys(("Matrix(K*u)", "Matrix(K*u) (u vector)"), "K*u1")
-    return f"y = {c.pick('Multiplication', 'Element-wise(K.*u)', texts)};", {"K": c.value("Gain", "1").astype(float)}
+    gain, text = c.value("Gain", "1").astype(float), c.pick("Multiplication", "Element-wise(K.*u)", texts)
+    if c.inputs[0].shape is None and "." in text:  # a row is a vector here
+        gain = gain.reshape(-1, 1) if 1 in gain.shape else gain
+        if min(gain.shape) > 1 < (c.width or 1) or c.width not in (None, 1, gain.size):
+            raise NotTranslated(f"Gain has {gain.size} elements and the input {c.width or 1}")
+    return f"y = {text};", {"K": gain}
 
 
 def _math(c: Asked) -> tuple[str, dict[str, Value]]:
@@ -71,6 +83,7 @@ def _reshape(c: Asked) -> tuple[str, dict[str, Value]]:
 
 
 def _concatenate(c: Asked) -> tuple[str, dict[str, Value]]:
+    c.kind(*KINDS)
     names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
     if c.text("Mode", "Vector") == "Vector":
         if any(one.shape for one in c.inputs):
@@ -82,26 +95,41 @@ def _concatenate(c: Asked) -> tuple[str, dict[str, Value]]:
     return f"y = [{between.join(names)}];", {}
 
 
-def _selector(c: Asked) -> tuple[str, dict[str, Value]]:
+def _selector(c: Asked, result: str = "y = u1({});", port: int = 2) -> tuple[str, dict[str, Value]]:
+    """Take elements out; the first input with indices has the number `port`."""
     options = c.text("IndexOptions", c.text("IndexOptionArray", "Index vector (dialog)")).split(",")
     count = int(c.scalar("NumberOfDimensions", "1"))
-    said = c.values.get("Indices", c.values.get("IndexParamArray", "1"))
-    parts = said.strip("{}").split(",") if count > 1 else [said]
-    if len(parts) != count or len(options) != count or not set(options) <= {"Index vector (dialog)", "Select all"}:
-        raise NotTranslated(f"IndexOptions = {','.join(options)!r} with Indices = {said[:40]!r} is not translated")
+    given = c.values.get("Indices", c.values.get("IndexParamArray", c.values.get("Elements", "1")))
+    texts = (given, c.values.get("OutputSizes", c.values.get("OutputSizeArray", "1")))
+    listed = [_BETWEEN.split(one.strip("{} ")) if count > 1 else [one.strip("{} ")] for one in texts]
+    parts, sizes = ([*one, *["1"] * count][:count] for one in listed)
     shift = 1.0 if c.text("IndexMode", "One-based") == "Zero-based" else 0.0
     values, indices = dict[str, Value](), list[str]()
-    for k, (option, part) in enumerate(zip(options, parts, strict=True), start=1):
-        c.values[f"Indices{k}"] = part
-        indices.append(":" if option == "Select all" else f"I{k}")
-        if option != "Select all":
-            values[f"I{k}"] = c.value(f"Indices{k}", "1").astype(float) + shift
-    return f"y = u1({', '.join(indices)});", values
+    if len(options) != count:
+        raise NotTranslated(f"IndexOptions = {','.join(options)!r} of {count} dimensions is not translated")
+    for k, option in enumerate(options, start=1):
+        form, _, source = option.strip().rpartition(" (")
+        name, span = f"I{k}", np.full((1, 1), shift)
+        if form == "Starting index":
+            c.values[f"Sizes{k}"] = sizes[k - 1]
+            span = span + np.arange(c.scalar(f"Sizes{k}", "1"))
+        if option == "Select all":
+            indices.append(":")
+        elif form not in ("Index vector", "Starting index") or (source == "port)" and port > len(c.inputs)):
+            raise NotTranslated(f"IndexOptions = {option!r} is not translated")
+        elif source == "dialog)":
+            c.values[f"Indices{k}"] = parts[k - 1] or "1"
+            values[name] = c.value(f"Indices{k}", "1").astype(float) + span
+            indices.append(name)
+        else:
+            values[name] = span
+            indices.append(f"double(u{port}) + {name}")
+            port += 1
+    return result.format(", ".join(indices)), values
 
 
 def _assignment(c: Asked) -> tuple[str, dict[str, Value]]:
-    text, values = _selector(c)
-    return f"y = u1;\n{text.removeprefix('y = ').replace('u1', 'y', 1).rstrip(';')} = u2;", values
+    return _selector(c, "y = u1;\ny({}) = u2;", 3)
 
 
 def _delay(c: Asked) -> tuple[str, dict[str, Value]]:

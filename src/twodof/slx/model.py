@@ -165,6 +165,12 @@ class Model:
             for block in system.blocks.values():
                 yield below(path, block), block
 
+    def texts(self) -> Iterator[str]:
+        """Yield what may name a member of an enumeration: values of blocks, and code."""
+        for _, block in self.blocks():
+            yield from (*block.values.values(), *block.instance.values())
+        yield from (one.text for one in self.charts)
+
     def system(self, path: str) -> System:
         """Return the system at a path; "" is the top. Raises DiagramError if there is none."""
         wanted = collapsed(path).strip("/")
@@ -179,6 +185,15 @@ def port_number(block: SimulinkBlock) -> int:
     """Return the number of an Inport or Outport."""
     said = block.values.get("Port", "1")
     return int(said) if said.isdigit() else 1
+
+
+def source_file(block: SimulinkBlock) -> str:
+    """Return the name of the file that a block's inside is in: a library, a subsystem or a model; "" without one."""
+    if block.type == "ModelReference":
+        return re.sub(r"\.(slx|mdl|slxp)$", "", block.values.get("ModelNameDialog", block.values.get("ModelName", "")))
+    if block.type == "Reference":
+        return collapsed(block.values.get("SourceBlock", "")).partition("/")[0]
+    return block.values.get("ReferencedSubsystem", "")
 
 
 def collapsed(name: str) -> str:

@@ -51,7 +51,7 @@ class Sheet:
         for sid, block in system.blocks.items():
             if block.type in ("Inport", "Outport"):
                 self.ports[block.type, port_number(block)] = sid
-            elif block.type in ("Goto", "From", "GotoTagVisibility"):
+            elif block.type in ("Goto", "From", "GotoTagVisibility") and not block.commented:
                 self.tagged.setdefault((block.type, block.values.get("GotoTag", "A")), []).append(sid)
 
 
@@ -69,8 +69,10 @@ def ends(sheets: Sheets, path: str, pin: Pin, depth: int = 0) -> Iterator[tuple[
         inner = below(path, block)
         port = sheets[inner].ports.get(("Inport", sink.number)) if inner in sheets else None
         if block.type == "Goto":
-            for one in sheet.tagged.get(("From", block.values.get("GotoTag", "A")), []):
-                yield from ends(sheets, path, Pin(one, "out", 1), depth + 1)
+            tag, local = block.values.get("GotoTag", "A"), block.values.get("TagVisibility", "local") == "local"
+            for at in [path] if local else sheets:
+                for one in sheets[at].tagged.get(("From", tag), []):
+                    yield from ends(sheets, at, Pin(one, "out", 1), depth + 1)
         elif port is not None:
             yield inner, Pin(port, "in", 1), sheets[inner].system.blocks[port]
             yield from ends(sheets, inner, Pin(port, "out", 1), depth + 1)

@@ -1,25 +1,21 @@
 """A subset of MATLAB that computes constants: matrices, structures, indexing, arithmetic, logic, common functions.
 
-`evaluate(text, workspace)` gives the value of an expression, `run(code, workspace)` carries out a script. No statement
-opens a file, calls a program or shows anything, and each ends within bounds: `MOST_STEPS` operations, arrays of at most
-`MOST_ELEMENTS`. A statement of a script that is not computed is skipped and said by its line, and what it would have
-assigned is unknown afterwards.
+`evaluate(text, workspace)` gives the value of an expression. Nothing opens a file, calls a program or shows anything,
+and each evaluation ends within bounds: `MOST_STEPS` operations, arrays of at most `MOST_ELEMENTS`.
 
 Values are numpy arrays of two dimensions (float64, float32, whole numbers, bool), `str` for text, `dict` for a
 structure and `list` for a cell array.
 """
 
-import io
 import math
 import re
 from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twodof.errors import DiagramError, LogError
+from twodof.errors import DiagramError
 from twodof.flightlog import fence
 from twodof.slx.matlab.signals import OPERATORS as SIGNAL_OPERATORS
 from twodof.slx.matlab.signals import SIGNAL_FUNCTIONS, of_signals
@@ -53,10 +49,6 @@ _TOKEN = re.compile(
       |(?P<text>"(?:[^"\n]|"")*")|(?P<line>\r?\n)""",
     re.VERBOSE,
 )
-_HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
-_NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
-_ASSIGNED_IN = re.compile(r"assignin\(\s*'base'\s*,\s*'(\w+)'\s*,\s*(\w+)\s*\)")
-_CELLS_IN = re.compile(r"Simulink\.Bus\.cellToObject\((\w+)\)")
 _QUOTED = re.compile(r"'((?:[^'\n]|'')*)'")
 BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
 _BINARY = (("||",), ("&&",), ("|",), ("&",), ("<", "<=", ">", ">=", "==", "~=", "!="), (":",), ("+", "-"))
@@ -64,14 +56,6 @@ _PRODUCTS = ("*", "/", "\\", ".*", "./", ".\\")
 _KEYWORDS = {"if", "elseif", "else", "for", "parfor", "while", "switch", "case", "try", "catch", "function", "end"}
 SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold"}
 """Statements that change no value: skipped without a word."""
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """A statement that was not carried out: its line, counted from 1, and why."""
-
-    line: int
-    why: str
 
 
 @dataclass(frozen=True)
@@ -98,110 +82,12 @@ def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression
     return value
 
 
-def run(code: str, workspace: MutableMapping[str, Value]) -> list[Skipped]:
-    """Carry out a script in a workspace, which it changes; return the statements that were not computed.
-
-    A file of a function gives what it assigns in the base workspace, as scripts that define buses do.
-    """
-    if (head := _HEAD.match(code)) is not None:
-        own: dict[str, Value] = {}
-        body = re.sub(r"^\s*end\s*\Z", "", _NEXT_FUNCTION.split(code[head.end() :])[0], flags=re.MULTILINE)
-        lines = run("\n" * code[: head.end()].count("\n") + body, own)
-        workspace.update({name: own[given] for name, given in _ASSIGNED_IN.findall(body) if given in own})
-        buses = {name: bus for cells in _CELLS_IN.findall(body) for name, bus in _buses(own.get(cells)).items()}
-        workspace.update(buses)
-        return [one for one in lines if one.why != "assignin is not computed" and not buses]
-    skipped: list[Skipped] = []
-    evaluation = Evaluation(workspace)
-    try:
-        tokens = tokens_of(BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), code))
-    except NotComputed as reason:
-        return [Skipped(1, str(reason))]
-    parser = EvaluatingParser(tokens, evaluation)
-    while parser.here.kind != "end":
-        if parser.skip(";", ",", "line"):
-            continue
-        start, line = parser.at, parser.here.line
-        try:
-            parser.statement()
-            if parser.here.kind != "end" and not parser.skip(";", ",", "line"):
-                raise NotComputed(f"'{parser.here.text}' is not expected")
-        except NotComputed as reason:
-            parser.at, parser.depth, parser.matrix, evaluation.ends = next_statement(tokens, start), 0, False, []
-            for name in _assigned(tokens[start : parser.at]):
-                workspace.pop(name, None)
-            if tokens[start].text not in SILENT:
-                skipped.append(Skipped(line, str(reason)))
-    return skipped
-
-
-def _buses(cells: Value) -> dict[str, Value]:
-    """Return the buses of a cell array as Simulink saves them: name, ..., and rows of name, dimensions, data type."""
-    keys = ("Name", "Dimensions", "DataType")
-    rows = [one for one in cells if isinstance(one, list) and one] if isinstance(cells, list) else []
-    return {
-        name: {"Elements": [dict(zip(keys, one, strict=False)) for one in elements if isinstance(one, list)]}
-        for name, *_, elements in rows
-        if isinstance(name, str) and isinstance(elements, list)
-    }
-
-
-def read_workspace(path: Path, names: MutableMapping[str, Value]) -> list[Skipped]:
-    """Add what a script (.m) or a .mat file gives a value to `names`; return what was not computed.
-
-    Raises DiagramError for a file that cannot be read.
-    """
-    try:
-        if path.suffix == ".m":
-            code, _ = fence.read(script_text, path)
-            return run(code, names)
-        plain, arrays = fence.read(mat_values, path)
-    except LogError as reason:
-        raise DiagramError(reason.what, reason.where, "give a script (.m) or a .mat of format 7 or older") from reason
-    left = list(arrays)
-
-    def value(said: Any) -> Value:
-        if isinstance(said, dict):
-            return {name: value(one) for name, one in said.items()}
-        return said if isinstance(said, str) else left[said[0]].reshape(said[1]).astype(said[2])
-
-    names.update({name: value(said) for name, said in plain["values"].items()})
-    return [Skipped(0, f"{name}: {why}") for name, why in plain["skipped"]]
-
-
 def script_text(data: bytes, where: str) -> fence.Answer:
     """Return the text of a script, behind the fence."""
     try:
         return data.decode("utf-8-sig"), []
     except UnicodeDecodeError:
         return data.decode("latin-1"), []
-
-
-def mat_values(data: bytes, where: str) -> fence.Answer:
-    """Return the numbers, texts and structures of a .mat file, behind the fence: arrays apart, others by name."""
-    from scipy.io import loadmat  # imported late, in the fence: the server starts without it
-
-    arrays: list[Array] = []
-    skipped: list[tuple[str, str]] = []
-
-    def plain(name: str, value: Any) -> Any:
-        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
-            return {field: plain(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names}
-        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1:
-            return str(value.flat[0])
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim != 2:
-            skipped.append((name, "is not a number, a text or a structure"))
-            return ""
-        arrays.append(value.astype(float))
-        return [len(arrays) - 1, list(value.shape), value.dtype.name]
-
-    try:
-        found = loadmat(io.BytesIO(data))
-    except (NotImplementedError, ValueError, TypeError) as reason:
-        raise LogError(f"is not read: {reason}", where, "") from reason
-    values = {name: plain(name, value) for name, value in found.items() if not name.startswith("__")}
-    missing = {name.partition(".")[0] for name, _ in skipped if "." not in name}
-    return {"values": {n: v for n, v in values.items() if n not in missing}, "skipped": skipped}, arrays
 
 
 def tokens_of(text: str) -> list[Token]:
@@ -252,7 +138,7 @@ def next_statement(tokens: list[Token], at: int) -> int:
     return at
 
 
-def _assigned(tokens: list[Token]) -> set[str]:
+def assigned_by(tokens: list[Token]) -> set[str]:
     """Return the names that statements give a value: those left of each `=`, in `[a, b] = ...` several."""
     names: set[str] = set()
     start = depth = 0
@@ -285,7 +171,7 @@ def names_in(text: str) -> list[str]:
 def assigned_names(code: str) -> set[str]:
     """Return the names that a script gives a value; none where it cannot be read."""
     try:
-        return _assigned(tokens_of(code))
+        return assigned_by(tokens_of(code))
     except NotComputed:
         return set()
 

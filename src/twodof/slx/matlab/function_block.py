@@ -69,6 +69,8 @@ class MatlabFunction(Block):
             self.constants = {k: v for k, v in (names or {}).items() if k in main.arguments and k not in self.given}
             if missing := [k for k in main.arguments if k not in (*self.given, *self.constants)]:
                 raise NotComputed(f"the argument {missing[0]} has neither a signal nor a value: give --workspace")
+            if len(self.given) != len(signals):
+                raise NotComputed(f"it has {len(signals)} inputs and takes {len(main.arguments)} arguments")
             if not main.results:
                 raise NotComputed("it has no output")
             self.inputs = [one.port(_port(name)) for name, one in zip(self.given, signals, strict=True)]

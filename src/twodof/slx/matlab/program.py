@@ -5,6 +5,7 @@ Where a condition is a signal both branches are carried out, and each name gets 
 does not hold. Loops have constant ranges and are written out.
 """
 
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,6 @@ from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
 from twodof.slx.matlab.evaluation import (
     BLOCK_COMMENT,
-    SILENT,
     EvaluatingParser,
     Evaluation,
     next_statement,
@@ -40,6 +40,7 @@ from twodof.slx.matlab.values import (
     stored,
 )
 
+FUNCTION_HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
 DEEPEST_CALLS, DEEPEST_BLOCKS = 20, 50
 EMPTY = np.zeros((0, 0))
 _OPENING = {"if", "for", "parfor", "while", "switch", "try", "function"}
@@ -47,7 +48,7 @@ _CLAUSES = {"elseif", "else", "case", "otherwise", "catch"}
 _WORDS = _OPENING | _CLAUSES | {"end"}
 _LEAVING = {"return": "#return", "break": "#break", "continue": "#continue"}
 """The names that say under which condition the statements after one of these are left out."""
-_SILENT = {*SILENT, "assert", "error", "coder.inline", "coder.extrinsic", "coder.allowpcode"}
+_SILENT = {"assert", "error", "coder.inline", "coder.extrinsic", "coder.allowpcode"}
 
 
 class NotTranslatedLine(NotComputed):
@@ -68,10 +69,10 @@ class FunctionDefinition:
 class Code:
     """The text of a MATLAB Function: its tokens, where its blocks end, and its functions, the main one first.
 
-    Raises NotComputed for a text that cannot be read.
+    A `script` has its statements for a main function. Raises NotComputed for a text that cannot be read.
     """
 
-    def __init__(self, text: str, folders: Sequence[Path] = ()) -> None:
+    def __init__(self, text: str, folders: Sequence[Path] = (), script: bool = False) -> None:
         self.folders = folders
         self.files: dict[str, Code | None] = {}
         """The functions of the folders by name; None for a name without a file."""
@@ -102,17 +103,20 @@ class Code:
             elif word in _CLAUSES and opened:
                 opened[-1].append(at)
             elif word == "end":
+                if not opened and script:
+                    continue
                 if not opened:
                     raise NotComputed(f"line {self.tokens[at].line}: this end ends nothing")
                 start, *clauses = opened.pop()
                 self.blocks[start] = [*clauses, at]
-        if opened:
+        if opened and not script:
             raise NotComputed(f"line {self.tokens[opened[-1][0]].line}: a block has no end")
-        if not heads:
+        if not heads and not script:
             raise NotComputed("there is no function in it")
-        ends = [self.blocks[head][-1] for head in heads] if closed else [*heads[1:], len(self.tokens) - 1]
+        last = len(self.tokens) - 1
+        ends = [self.blocks.get(head, [last])[-1] for head in heads] if closed else [*heads[1:], last][: len(heads)]
         made = [self._function(head, end) for head, end in zip(heads, ends, strict=True)]
-        self.main = made[0]
+        self.main = FunctionDefinition("", [], [], 0, [*heads, last][0]) if script else made[0]
         self.functions = {one.name: one for one in made}
 
     def file(self, name: str) -> "Code | None":
@@ -123,7 +127,10 @@ class Code:
             self.files[name] = None
             if path is not None:
                 try:
-                    made = Code(fence.read(script_text, path)[0], self.folders)
+                    text = fence.read(script_text, path)[0]
+                    if FUNCTION_HEAD.match(text) is None:  # a script or a class
+                        return None
+                    made = Code(text, self.folders)
                 except LogError as reason:
                     raise NotComputed(str(reason)) from None
                 except NotComputed as reason:
@@ -147,8 +154,8 @@ class Code:
         """Read `function [a, b] = name(c, d)`, of which only the name must be there."""
         names: list[list[str]] = [[]]
         at += 1
-        line = self.tokens[at].line
-        while self.tokens[at].line == line and self.tokens[at].kind != "end":
+        head = at
+        while self.tokens[at].kind != "end":
             token = self.tokens[at]
             if token.text in ("=", "("):
                 names.append([])
@@ -159,7 +166,7 @@ class Code:
             at += 1
             if token.text == ")" or token.kind == "line" or token.text == ";":
                 break
-        assigned = any(t.text == "=" and t.kind == "operator" for t in self.tokens[:at] if t.line == line)
+        assigned = any(t.text == "=" and t.kind == "operator" for t in self.tokens[head:at])
         results = names.pop(0) if assigned else []
         (name, *_), *arguments = names if names and names[0] else [["?"]]
         return FunctionDefinition(name, arguments[0] if arguments else [], results, at, stop)
@@ -264,6 +271,8 @@ class Program(EvaluatingParser):
         self.evaluation.count()
         if word in ("if", "switch", "for", "parfor", "while"):
             start = self.at
+            if start not in self.code.blocks:
+                raise NotComputed(f"this {word} has no end")
             *clauses, end = self.code.blocks[start]
             if word == "if":
                 self._choose([start, *clauses], end)
@@ -445,6 +454,8 @@ class Program(EvaluatingParser):
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Call a function of the program, or one of MATLAB's."""
+        if name == "exist" and arguments:
+            return np.array([[float(arguments[0] in self.evaluation.names)]])
         if name == "single" or "single" in [one for one in arguments if isinstance(one, str)]:
             self.code.notes.append("single: computed in the precision of the build")
         code, function = self.code, self.code.functions.get(name)

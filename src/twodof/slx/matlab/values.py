@@ -516,6 +516,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "norm": lambda v: float(np.linalg.norm(as_array(v).flatten() if 1 in as_array(v).shape else as_array(v), 2)),
     "inv": lambda v: np.linalg.inv(as_array(v)), "pinv": lambda v: np.linalg.pinv(as_array(v)),
     "det": lambda v: float(np.linalg.det(as_array(v))), "transpose": lambda v: as_array(v).T,
+    "blkdiag": lambda *v: _block_diagonal([as_array(one) for one in v]),
     "trace": lambda v: float(np.trace(as_array(v))), "kron": lambda a, b: np.kron(as_array(a), as_array(b)),
     "cross": lambda a, b: np.cross(as_array(a).flatten(), as_array(b).flatten()).reshape(as_array(a).shape),
     "dot": lambda a, b: float(np.dot(as_array(a).flatten(), as_array(b).flatten())),
@@ -539,6 +540,17 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "isfield": lambda s, name: bool(isinstance(s, dict) and name in s),
     **{name: _cast(kind) for name, kind in KINDS.items()},
 }  # fmt: skip
+
+
+def _block_diagonal(blocks: Sequence[Array]) -> Array:
+    shape = [sum(one.shape[axis] for one in blocks) for axis in (0, 1)]
+    if math.prod(shape) > MOST_ELEMENTS:
+        raise ValueError("too many elements")
+    made, row, column = np.zeros(shape), 0, 0
+    for one in blocks:
+        made[row : row + one.shape[0], column : column + one.shape[1]] = one
+        row, column = row + one.shape[0], column + one.shape[1]
+    return made
 
 
 def _bounded_tile(value: Value, times: list[int]) -> Array:

@@ -1,0 +1,186 @@
+"""Scripts that give names their values: callbacks, masks, .m files; and the values of .mat files.
+
+`run(code, workspace, folders)` carries out a script as a program. It calls the functions and scripts of .m files in
+these folders, and loads their .mat files: each is read behind the fence, and no other file is opened. A statement that
+is not computed is skipped and said by its line, and what it would have assigned is unknown afterwards.
+"""
+
+import io
+import re
+from collections.abc import MutableMapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twodof.errors import DiagramError, LogError
+from twodof.flightlog import fence
+from twodof.flightlog.fence import Answer
+from twodof.slx.matlab.evaluation import SILENT, Evaluation, assigned_by, next_statement, script_text
+from twodof.slx.matlab.program import EMPTY, FUNCTION_HEAD, Code, NotTranslatedLine, Program
+from twodof.slx.matlab.values import Array, NotComputed, Value
+
+DEEPEST_SCRIPTS = 5
+_NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
+_FILE = re.compile(r"[\w-][\w. -]{0,100}\.(?:m|mat)")
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A statement that was not carried out: its line, counted from 1, and why."""
+
+    line: int
+    why: str
+
+
+class Script(Program):
+    """The run of a script, which may run others and load .mat files by their names."""
+
+    def __init__(self, code: Code, evaluation: Evaluation, base: MutableMapping[str, Value], depth: int) -> None:
+        super().__init__(code, code.main, evaluation)
+        self.base, self.depth_of_scripts = base, depth
+        self.skipped: list[Skipped] = []
+
+    def statement(self) -> None:
+        """Carry out a statement: `name`, `run name` and `load name` are those of a file."""
+        start, end = self.at, next_statement(self.tokens, self.at)
+        words = [one.text for one in self.tokens[start:end] if one.kind in ("name", "text", "number")]
+        plain = {one.text for one in self.tokens[start:end] if one.kind in ("operator", "line")} <= {*"().;,\n\r\n", ""}
+        command = words[0] if words else ""
+        if plain and command in ("run", "load") and len(words) > 1:
+            self._file(words[1], ".mat" if command == "load" else ".m")
+        elif plain and words == [command] and command not in self.evaluation.names and self._found(f"{command}.m"):
+            self._file(command, ".m")
+        else:
+            super().statement()
+            return
+        self.at = end - 1
+
+    def _found(self, name: str) -> Path | None:
+        candidates = (one / name for one in self.code.folders) if _FILE.fullmatch(name) else ()
+        return next((one for one in candidates if one.is_file()), None)
+
+    def _file(self, name: str, suffix: str) -> None:
+        name = f"{name.removesuffix(suffix)}{suffix}"
+        file = self._found(name)
+        if file is None or self.depth_of_scripts >= DEEPEST_SCRIPTS:
+            raise NotComputed(f"{name} is not found" if file is None else "scripts run each other too deep")
+        line = self.here.line
+        try:
+            found = read_workspace(file, self.evaluation.names, self.code.folders, self.depth_of_scripts + 1)
+            self.skipped += [Skipped(line, f"{file.name}, line {one.line}: {one.why}") for one in found]
+        except DiagramError as reason:
+            raise NotComputed(reason.what) from None
+
+    def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
+        """Call a function; two of them give the base workspace its names."""
+        if name == "assignin" and len(arguments) == 3 and arguments[0] == "base":
+            self.base[arguments[1]] = arguments[2]
+        elif name == "Simulink.Bus.cellToObject" and arguments:
+            self.base.update(_buses(arguments[0]))
+        else:
+            return super().called(name, arguments, bracket, count)
+        return EMPTY
+
+
+def _buses(cells: Value) -> dict[str, Value]:
+    """Return the buses of a cell array as Simulink saves them: name, ..., and rows of name, dimensions, data type."""
+    keys = ("Name", "Dimensions", "DataType")
+    rows = [one for one in cells if isinstance(one, list) and one] if isinstance(cells, list) else []
+    return {
+        name: {"Elements": [dict(zip(keys, one, strict=False)) for one in elements if isinstance(one, list)]}
+        for name, *_, elements in rows
+        if isinstance(name, str) and isinstance(elements, list)
+    }
+
+
+def run(
+    code: str, workspace: MutableMapping[str, Value], folders: Sequence[Path] = (), depth: int = 0
+) -> list[Skipped]:
+    """Carry out a script in a workspace, which it changes; return the statements that were not computed.
+
+    A file of a function gives what it assigns in the base workspace, as scripts that define buses do.
+    """
+    own = workspace
+    if (head := FUNCTION_HEAD.match(code)) is not None:
+        body = re.sub(r"^\s*end\s*\Z", "", _NEXT_FUNCTION.split(code[head.end() :])[0], flags=re.MULTILINE)
+        own, code = {"nargin": np.zeros((1, 1))}, "\n" * code[: head.end()].count("\n") + body
+    evaluation = Evaluation(own)
+    try:
+        program = Code(code, folders, script=True)
+    except NotComputed as reason:
+        return [Skipped(1, str(reason))]
+    parser, tokens = Script(program, evaluation, workspace, depth), program.tokens
+    while parser.at < program.main.stop and "#return" not in own:
+        if parser.skip(";", ",", "line"):
+            continue
+        start, line = parser.at, parser.here.line
+        try:
+            parser.statement()
+            if parser.at < program.main.stop and not parser.skip(";", ",", "line"):
+                raise NotComputed(f"'{parser.here.text}' is not expected")
+        except NotComputed as reason:
+            end = program.blocks[start][-1] if start in program.blocks else start
+            parser.at, parser.depth, parser.matrix, evaluation.ends = next_statement(tokens, end), 0, False, []
+            for name in assigned_by(tokens[start : parser.at]):
+                own.pop(name, None)
+            if tokens[start].text not in SILENT:
+                within = re.match(r"line (\d+): (.*)", str(reason), re.DOTALL)
+                inner = within if isinstance(reason, NotTranslatedLine) and start in program.blocks else None
+                parser.skipped.append(Skipped(int(inner[1]), inner[2]) if inner else Skipped(line, str(reason)))
+    for name in [one for one in own if "." in one or "#" in one]:  # what functions keep between their calls
+        del own[name]
+    return parser.skipped
+
+
+def read_workspace(
+    path: Path, names: MutableMapping[str, Value], folders: Sequence[Path] = (), depth: int = 0
+) -> list[Skipped]:
+    """Add what a script (.m) or a .mat file gives a value to `names`; return what was not computed.
+
+    Raises DiagramError for a file that cannot be read.
+    """
+    try:
+        if path.suffix == ".m":
+            code, _ = fence.read(script_text, path)
+            return run(code, names, folders, depth)
+        plain, arrays = fence.read(mat_values, path)
+    except LogError as reason:
+        raise DiagramError(reason.what, reason.where, "give a script (.m) or a .mat of format 7 or older") from reason
+    left = list(arrays)
+
+    def value(said: Any) -> Value:
+        if isinstance(said, dict):
+            return {name: value(one) for name, one in said.items()}
+        return said if isinstance(said, str) else left[said[0]].reshape(said[1]).astype(said[2])
+
+    names.update({name: value(said) for name, said in plain["values"].items()})
+    return [Skipped(0, f"{name}: {why}") for name, why in plain["skipped"]]
+
+
+def mat_values(data: bytes, where: str) -> Answer:
+    """Return the numbers, texts and structures of a .mat file, behind the fence: arrays apart, others by name."""
+    from scipy.io import loadmat  # imported late, in the fence: the server starts without it
+
+    arrays: list[Array] = []
+    skipped: list[tuple[str, str]] = []
+
+    def plain(name: str, value: Any) -> Any:
+        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
+            return {field: plain(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names}
+        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1:
+            return str(value.flat[0])
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim != 2:
+            skipped.append((name, "is not a number, a text or a structure"))
+            return ""
+        arrays.append(value.astype(float))
+        return [len(arrays) - 1, list(value.shape), value.dtype.name]
+
+    try:
+        found = loadmat(io.BytesIO(data))
+    except (NotImplementedError, ValueError, TypeError) as reason:
+        raise LogError(f"is not read: {reason}", where, "") from reason
+    values = {name: plain(name, value) for name, value in found.items() if not name.startswith("__")}
+    missing = {name.partition(".")[0] for name, _ in skipped if "." not in name}
+    return {"values": {n: v for n, v in values.items() if n not in missing}, "skipped": skipped}, arrays
