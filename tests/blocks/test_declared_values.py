@@ -87,29 +87,21 @@ def test_what_is_of_its_kind_is_loaded_stepped_and_emitted(kind: str, place: str
         emit_program(diagram, 0.01)
 
 
+NUMBERS, WHOLES = ("real", "int32", "uint32"), ("int32", "uint32")
+NO_BOUNDS = ({"low": NAN}, {"high": NAN}, {"low": True}, {"high": False}, {"low": 2, "high": 1}, {"low": [1]})
+BOUNDS: list[tuple[dict[str, Any], tuple[str, ...], str]] = [
+    *((bounds, NUMBERS, "the bound .* is not a number|no value is within") for bounds in NO_BOUNDS),
+    *((bounds, NUMBERS, r"1 is outside \[") for bounds in ({"low": 2}, {"high": 0})),
+    *((bounds, WHOLES, "whole") for bounds in ({"low": 0.5}, {"high": 2.5})),
+]
+
+
 @pytest.mark.parametrize("place", ["of the diagram", "of a sub-diagram", "of a block"])
-@pytest.mark.parametrize("kind", ["real", "int32", "uint32"])
-@pytest.mark.parametrize(
-    "bounds", [{"low": NAN}, {"high": NAN}, {"low": True}, {"high": False}, {"low": 2, "high": 1}, {"low": [1]}]
-)
-def test_bounds_that_are_none_are_refused(place: str, kind: str, bounds: dict[str, Any]) -> None:
-    with pytest.raises(DiagramError):
-        load(places(kind, 1, **bounds)[place])
-
-
-@pytest.mark.parametrize("kind", ["real", "int32", "uint32"])
-@pytest.mark.parametrize("bounds", [{"low": 2}, {"high": 0}])
-def test_a_default_that_is_out_of_its_bounds_is_refused(kind: str, bounds: dict[str, Any]) -> None:
-    for place in ("of the diagram", "of a block"):
-        with pytest.raises(DiagramError, match=r"1 is outside \["):
-            load(places(kind, 1, **bounds)[place])
-
-
-@pytest.mark.parametrize("wrong", [{"low": 0.5}, {"high": 2.5}])
-def test_bounds_of_whole_numbers_are_whole(wrong: dict[str, Any]) -> None:
-    for kind in ("int32", "uint32"):
-        with pytest.raises(DiagramError, match="whole"):
-            load(places(kind, 1, **wrong)["of a block"])
+def test_bounds_are_numbers_of_the_kind_around_the_default(place: str) -> None:
+    for bounds, kinds, message in BOUNDS:
+        for kind in kinds:
+            with pytest.raises(DiagramError, match=message):
+                load(places(kind, 1, **bounds)[place])
 
 
 def test_the_same_in_python() -> None:

@@ -38,24 +38,19 @@ def test_a_delay_shifts(values: list[float], samples: int, spare: int, initial: 
     np.testing.assert_array_equal(y, shifted(u, samples, initial))
 
 
-def test_a_unit_delay_is_a_delay_of_one() -> None:
-    u = noise(20)
-    np.testing.assert_array_equal(run_y(UnitDelay(0.5), u), shifted(u, 1, 0.5))
-
-
-@pytest.mark.parametrize(("kind", "values"), [("bool", [True, False, True, True]), ("int32", [3, -4, 5, 6])])
-def test_delays_of_other_kinds(kind: str, values: list[Any]) -> None:
-    initial = False if kind == "bool" else 7
-    for block in (Delay(2, 3, initial, kind), UnitDelay(initial, kind)):
-        samples = 2 if isinstance(block, Delay) else 1
-        found = run_y(block, values).tolist()
-        assert found == [initial] * samples + values[:-samples]
-
-
-def test_a_delay_of_arrays_shifts_rows() -> None:
-    u = noise(30).reshape(10, 3)
-    y = run_y(Delay(4, 6, [1.0, 2.0, 3.0], width=3), u)
-    np.testing.assert_array_equal(y, np.concatenate((np.tile([1.0, 2.0, 3.0], (4, 1)), u))[:10])
+@pytest.mark.parametrize(
+    ("kind", "initial", "values"),
+    [
+        ("real", 0.5, noise(20).tolist()),
+        ("bool", False, [True, False, True, True]),
+        ("int32", 7, [3, -4, 5, 6]),
+        ("real", [1.0, 2.0, 3.0], noise(30).reshape(10, 3).tolist()),
+    ],
+)
+def test_delays_shift_values_of_all_kinds_and_rows(kind: str, initial: Any, values: list[Any]) -> None:
+    width = len(initial) if isinstance(initial, list) else None
+    for block, samples in ((Delay(2, 3, initial, kind, width), 2), (UnitDelay(initial, kind, width), 1)):
+        assert run_y(block, values).tolist() == [initial] * samples + values[:-samples]
 
 
 def test_a_tuned_delay_acts_on_the_samples_that_are_kept() -> None:
