@@ -26,47 +26,49 @@ _SAME = 1e-10  # share by which two roots differ at least: beside one, rounding 
 _ROUNDING = 4e-15
 
 
-def frequencies_of_size(g: LoopTransfer, size: float) -> Array:
-    """Return sorted candidates [rad/s] that include every frequency at which |G| is `size`; a delay changes none."""
+def frequencies_of_size(a: Array, b: Array, c: Array, d: Array, dt: float | None, size: float) -> Array:
+    """Return sorted candidates [rad/s] that include every frequency at which a singular value of G is `size`.
+
+    G is C (s - A)^-1 B + D, or with the sample time `dt` [s] C (z - A)^-1 B + D.
+    """
     square = size**2
-    last = np.hstack([g.d / square * g.c, g.b.T / square, np.full((1, 1), g.d**2 / square - 1.0)])
-    return _on_the_axis(g, last, g.d)
+    last = np.hstack([d.T @ c / square, b.T / square, d.T @ d / square - np.eye(d.shape[1])])
+    return _on_the_axis(a, b, c.T @ c, c.T @ d, last, dt)
 
 
 def frequencies_of_the_real(g: LoopTransfer) -> Array:
     """Return sorted candidates [rad/s] that include every frequency at which G, without its delay, is real."""
-    return _on_the_axis(g, np.hstack([g.c, -g.b.T, np.zeros((1, 1))]), None)
+    last = np.hstack([g.c, -g.b.T, np.zeros((1, 1))])
+    return _on_the_axis(g.a, g.b, np.zeros_like(g.a), g.c.T, last, g.dt)
 
 
-def _on_the_axis(g: LoopTransfer, last: Array, through: float | None) -> Array:
+def _on_the_axis(a: Array, b: Array, drive: Array, direct: Array, last: Array, dt: float | None) -> Array:
     """Return the frequencies of eigenvalues near the axis of the pencil made of the rows of G and G~ and of `last`.
 
-    The input of G~ is the output of G or, if `through` is None, the input of G.
+    The states x and the input u of G enter the states of G~ by `drive` x + `direct` u.
     """
     from scipy.linalg import eig  # imported late: most commands start without it
 
-    n = len(g.a)
+    n, k = len(a), b.shape[1]
     if n == 0:
         return np.zeros(0)
-    zero, column = np.zeros((n, n)), np.zeros((n, 1))
-    drive = g.c.T @ g.c if through is not None else zero
-    direct = g.c.T * through if through is not None else g.c.T
-    m, e = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
-    m[:n] = np.hstack([g.a, zero, g.b])
+    zero = np.zeros((n, n))
+    m, e = np.zeros((2 * n + k, 2 * n + k)), np.zeros((2 * n + k, 2 * n + k))
+    m[:n] = np.hstack([a, zero, b])
     e[:n, :n] = np.eye(n)
-    m[-1] = last[0]
-    if g.dt is None:
-        m[n : 2 * n] = np.hstack([-drive, -g.a.T, -direct])
+    m[2 * n :] = last
+    if dt is None:
+        m[n : 2 * n] = np.hstack([-drive, -a.T, -direct])
         e[n : 2 * n, n : 2 * n] = np.eye(n)
     else:
-        m[n : 2 * n] = np.hstack([zero, np.eye(n), column])
-        e[n : 2 * n] = np.hstack([drive, g.a.T, direct])
+        m[n : 2 * n, n : 2 * n] = np.eye(n)
+        e[n : 2 * n] = np.hstack([drive, a.T, direct])
     alpha, beta = eig(m, e, right=False, homogeneous_eigvals=True)
     finite = np.abs(beta) > _ROUNDING * np.abs(alpha)
     z = alpha[finite] / beta[finite]
     z = z[np.abs(z) > 0.0]
-    s = z if g.dt is None else np.log(z.astype(np.complex128)) / g.dt
-    low = SLOW / g.dt if g.dt else SLOW
+    s = z if dt is None else np.log(z.astype(np.complex128)) / dt
+    low = SLOW / dt if dt else SLOW
     close = (np.abs(s.real) <= NEAR * np.abs(s.imag)) & (np.abs(s.imag) > low)
     return np.unique(np.abs(s.imag[close]))
 

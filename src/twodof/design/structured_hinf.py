@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.design.closed_loop_poles import logarithms
+from twodof.design.frequencies import frequencies_of_size
 from twodof.errors import ParameterError
 from twodof.models.lti import check_system, transfer
 
@@ -133,10 +135,7 @@ class _Search:
         return np.append(x[-1] - self._sizes(gains, omega), 1.0 - radius - _INSIDE)
 
     def _sizes(self, gains: Array, omega: Array) -> Array:
-        places = np.exp(1j * omega * self.dt)
-        return np.concatenate(
-            [np.linalg.svd(transfer(*one, places), compute_uv=False).max(axis=1) for one in self.closed(gains)]
-        )
+        return np.concatenate([_sizes(*one, self.dt, omega) for one in self.closed(gains)])
 
 
 def _error(what: str, remedy: str) -> ParameterError:
@@ -147,7 +146,6 @@ Complex = NDArray[np.complex128]
 
 TOLERANCE = 1e-7
 _ROUNDS = 40
-_NEAR = 1e-7  # of an eigenvalue to the imaginary axis, as a share of its size
 
 
 def hinf_norm(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -> tuple[float, float]:
@@ -165,46 +163,26 @@ def hinf_norm(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -
 
 def peak_gain(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -> tuple[float, float]:
     """Return the largest singular value over all frequencies, and its frequency [rad/s], of a stable system."""
-    if dt is not None:
-        # The bilinear map keeps the norm: z = (1 + s) / (1 - s), w = tan(omega dt / 2).
-        inverse, root = np.linalg.inv(np.eye(len(a)) + a), math.sqrt(2.0)
-        turned = (inverse @ (a - np.eye(len(a))), root * inverse @ b, root * c @ inverse, d - c @ inverse @ b)
-        norm, w = peak_gain(*turned)
-        return norm, 2.0 * math.atan(w) / dt
-    poles = np.linalg.eigvals(a)
-    first = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag)])
-    sizes = _sizes(a, b, c, d, first)
-    best, place = float(np.linalg.norm(d, 2)), math.inf
+    fast = math.inf if dt is None else math.pi / dt
+    poles = logarithms(np.linalg.eigvals(a).astype(np.complex128), dt)
+    first = np.concatenate([[0.0, *([fast] if dt else [])], np.abs(poles), np.abs(poles.imag)])
+    first = first[np.isfinite(first) & (first <= fast)]
+    sizes = _sizes(a, b, c, d, dt, first)
+    best, place = (float(np.linalg.norm(d, 2)), fast) if dt is None else (0.0, 0.0)
     if sizes.max() > best:
         best, place = float(sizes.max()), float(first[sizes.argmax()])
     for _ in range(_ROUNDS if best > 0.0 else 0):
         level = best * (1.0 + 2.0 * TOLERANCE)
-        met = _met(a, b, c, d, level)
-        if met.size < 2:
-            break
+        met = np.concatenate([[0.0], frequencies_of_size(a, b, c, d, dt, level), [fast] if dt else []])
         between = 0.5 * (met[1:] + met[:-1])
-        sizes = _sizes(a, b, c, d, between)
-        if sizes.max() <= level:
+        sizes = _sizes(a, b, c, d, dt, between)
+        if sizes.max(initial=0.0) <= level:
             break
-        best, place = float(sizes.max()), abs(float(between[sizes.argmax()]))
+        best, place = float(sizes.max()), float(between[sizes.argmax()])
     return best, place
 
 
-def _met(a: Array, b: Array, c: Array, d: Array, level: float) -> Array:
-    """Return the sorted frequencies at which a singular value is `level`, which is larger than that of D."""
-    r = d.T @ d - level**2 * np.eye(d.shape[1])
-    left = np.linalg.solve(r, d.T @ c)
-    right = np.linalg.solve(r, b.T)
-    upper = a - b @ left
-    hamiltonian = np.block(
-        [[upper, -level * b @ right], [level * c.T @ np.linalg.solve(d @ d.T - level**2 * np.eye(len(d)), c), -upper.T]]
-    )
-    roots = np.linalg.eigvals(hamiltonian)
-    near = np.abs(roots.real) <= _NEAR * np.maximum(np.abs(roots), 1e-12) + 1e-12
-    found = np.abs(roots[near].imag)
-    return np.unique(np.concatenate([found, -found]))
-
-
-def _sizes(a: Array, b: Array, c: Array, d: Array, omega: Array) -> Array:
-    """Return the largest singular value at each frequency."""
-    return np.asarray(np.linalg.svd(transfer(a, b, c, d, 1j * omega), compute_uv=False).max(axis=1))
+def _sizes(a: Array, b: Array, c: Array, d: Array, dt: float | None, omega: Array) -> Array:
+    """Return the largest singular value at each frequency [rad/s]."""
+    places = 1j * omega if dt is None else np.exp(1j * omega * dt)
+    return np.asarray(np.linalg.svd(transfer(a, b, c, d, places), compute_uv=False).max(axis=1))
