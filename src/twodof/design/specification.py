@@ -16,8 +16,7 @@ from twodof.design.pitch_loop import PitchLoop
 from twodof.design.promise import STEPS, Promise
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import LogError, ParameterError, is_number, listed, nearest, shown
-from twodof.flightlog.provenance import read_bytes
-from twodof.flightlog.text_file import text_of
+from twodof.flightlog.provenance import read_bytes, text_of
 
 MAX_BYTES = 1 << 20
 _HALF_POWER = math.sqrt(0.5)

@@ -1,5 +1,6 @@
-"""Reading of files within a size, and the provenance of a log: file, checksum, history, versions."""
+"""Reading of files: their size, their text; and the provenance of a log: file, checksum, history, versions."""
 
+import codecs
 import hashlib
 import json
 import os
@@ -25,6 +26,8 @@ MAX_DEPTH = 32
 RECOVER = "get what is sound with: twodof log recover"
 """The remedy for a file that was cut off or damaged; `naming_file` adds the file's name."""
 _AGAIN = "write the log again from its source"
+SEPARATORS = ",;\t"
+"""What may stand between the columns of a table; with the last two, a comma may be the decimal mark."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,20 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
         except OSError as refusal:
             what = f"cannot be read: {refusal.strerror}"
             raise LogError(what, str(path), "check the disk") from refusal
+
+
+def text_of(data: bytes) -> str:
+    """Return the text of a file: UTF-8, or UTF-16 behind a byte order mark, which is left out.
+
+    Raises UnicodeDecodeError.
+    """
+    is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return data.decode("utf-16" if is_utf_16 else "utf-8-sig")
+
+
+def separator_of(heading: str) -> str:
+    """Return the separator of columns in a table's heading; a comma if there is none."""
+    return max(SEPARATORS, key=heading.count)
 
 
 def of_file(path: str | Path, data: bytes, kind: str) -> dict[str, Any]:

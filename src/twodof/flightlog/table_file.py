@@ -33,7 +33,7 @@ from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.log import Channel, FlightLog, row_times
-from twodof.flightlog.text_file import SEPARATORS, separator_of, text_of
+from twodof.flightlog.provenance import SEPARATORS, separator_of, text_of
 from twodof.signals import BY_MAT, unit_of
 
 COLUMNS = ("channel", "field", "time", "value")

@@ -38,11 +38,8 @@ class SampleRows(Generic[Kind]):
 
     def __init__(self, columns: tuple[str, ...], kind: type[Kind]) -> None:
         self.columns = columns
-        self._kind: type[Kind] = kind
-        self._ticks: list[NDArray[np.uint32]] = []
-        self._values: list[NDArray[Kind]] = []
-        self._loose = 0  # parts at the end of both lists that are to be joined
-        self._sorted = False  # both lists have one part, whose ticks rise
+        self._ticks: list[NDArray[np.uint32]] = [np.empty(0, np.uint32)]
+        self._values: list[NDArray[Kind]] = [np.empty((0, len(columns)), kind)]
         self._lock = Lock()
 
     def __len__(self) -> int:
@@ -74,20 +71,18 @@ class SampleRows(Generic[Kind]):
         with self._lock:
             self._ticks.append(ticks)
             self._values.append(values)
-            self._loose, self._sorted = self._loose + 1, False
-            if self._loose == _PARTS:  # small arrays take ten times the memory of a large one
-                self._ticks[-_PARTS:] = [np.concatenate(self._ticks[-_PARTS:])]
-                self._values[-_PARTS:] = [np.concatenate(self._values[-_PARTS:])]
-                self._loose = 0
+            if len(self._ticks) > _PARTS:  # small arrays take ten times the memory of a large one
+                self._join()
+
+    def _join(self) -> None:
+        ticks, first = np.unique(np.concatenate(self._ticks), return_index=True)
+        self._ticks, self._values = [ticks], [np.concatenate(self._values)[first]]
 
     def _joined(self) -> tuple[NDArray[np.uint32], NDArray[Kind]]:
         """Return all rows sorted, each tick once, and keep them so."""
         with self._lock:
-            if not self._sorted:
-                ticks = np.concatenate([np.empty(0, np.uint32), *self._ticks])
-                values = np.concatenate([np.empty((0, len(self.columns)), self._kind), *self._values])
-                ticks, first = np.unique(ticks, return_index=True)
-                self._ticks, self._values, self._loose, self._sorted = [ticks], [values[first]], 0, True
+            if len(self._ticks) > 1:
+                self._join()
             return self._ticks[0], self._values[0]
 
 

@@ -11,7 +11,7 @@ from math import isfinite
 from typing import Self
 
 from twodof.errors import ParameterError, printable, shown
-from twodof.flightlog.text_file import text_of
+from twodof.flightlog.provenance import text_of
 from twodof.gcs.parameters import INT32, MOST, REAL32, ParameterEntry, same_as
 
 MAX_BYTES = 1 << 20

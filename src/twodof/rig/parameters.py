@@ -6,8 +6,7 @@ from types import MappingProxyType
 
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.atomic import atomic_write, check_free
-from twodof.flightlog.provenance import read_bytes
-from twodof.flightlog.text_file import text_of
+from twodof.flightlog.provenance import read_bytes, text_of
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, thrust_curve
 from twodof.parameters import Parameter, ParameterSet
 from twodof.rig.rig import rig_params

@@ -19,7 +19,7 @@ from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions import numbers
 from twodof.compile.diagram_test.assertions import Assertion, Judgement, first_tick, first_violation
 from twodof.errors import DiagramError, listed, nearest, shown
-from twodof.flightlog.text_file import separator_of, text_of
+from twodof.flightlog.provenance import separator_of, text_of
 
 Array = NDArray[np.float64]
 Number = Annotated[float, Strict()]

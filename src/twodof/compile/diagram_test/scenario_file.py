@@ -25,7 +25,7 @@ from twodof.compile.diagram_test.scenario import (
     table_of_rows,
 )
 from twodof.errors import DiagramError, listed, nearest, shown
-from twodof.flightlog.text_file import text_of
+from twodof.flightlog.provenance import text_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,16 +6,16 @@ import asyncio
 from collections import deque
 from collections.abc import Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager, suppress
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from twodof.errors import LinkError, LinkLost, Rejected, Timeout, TwodofError
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.clock import DroneRestarted
-from twodof.gcs.drone_state import StatusText
+from twodof.gcs.drone_state import StatusText, explanation_of
 from twodof.gcs.recording import seconds
 from twodof.lab.answers import NotThere
-from twodof.lab.drones.drone_report import report
 from twodof.lab.drones.parameter_table import ParameterTable
 from twodof.lab.drones.pilot import FlightRecorder, Pilot
 from twodof.lab.drones.telemetry_source import TelemetrySource, until_one_ends
@@ -35,6 +35,54 @@ FAST_HZ = 10.0
 """Messages that come at this rate or faster are stopped: batches have the samples."""
 _PASSES = frozenset({"time"})
 """Fields that change all the time: without another change a state is sent once a second."""
+
+
+def state_of(drone: AsyncDrone) -> dict[str, Any]:
+    """Return the state of a connected drone.
+
+    `time` is the drone's time as in its logs [s]; the battery's voltage is in V, its charge 0 to 1, both None while
+    unknown.
+    """
+    state, holder = drone.state, drone.lease.holder
+    safety, rig = state.safety, state.rig
+    fails = safety.action != "none" and (state.armed or bool(safety.reason))
+    return {
+        "system": drone.session.system,
+        "name": rig.name or f"drone {drone.session.system}",
+        "url": drone.url,
+        "link": "heard",
+        "why_lost": "",
+        "ours": drone.ours,
+        "lease_holder": None if holder is None else list(holder),
+        "ours_leases": drone.lease.ours,
+        "tuning_withheld": drone.lease.tuning_withheld,
+        "time": seconds(drone.tick),
+        "autopilot": state.autopilot,
+        "virtual": rig.virtual,
+        "lockstep": rig.lockstep,
+        "armed": state.armed,
+        "mode": state.mode,
+        "safety_switch": "off" if rig.safety_off else "on",
+        "killed": state.killed,
+        "killed_by": None if safety.killed_by is None else list(safety.killed_by),
+        "failsafe": safety.action if fails else "none",
+        "failsafe_reason": _in_words(safety.reason) if fails else "",
+        "warnings": [_in_words(cause) for cause in safety.causes],
+        "controller": rig.controller,
+        "changed_parameters": rig.changed,
+        "rings_locked": rig.rings_locked,
+        "seed": rig.seed,
+        "battery": {"voltage": _known(state.battery.voltage), "charge": _known(state.battery.charge)},
+        "rig": rig.name,
+    }
+
+
+def _in_words(cause: str) -> str:
+    return explanation_of("TWODOF_CAUSE", cause).rstrip(".") or cause
+
+
+def _known(value: float) -> float | None:
+    return round(value, 4) if isfinite(value) else None
 
 
 class DroneConnection:
@@ -86,7 +134,7 @@ class DroneConnection:
             self.asked = None
         playback = drone.exciter.playback
         plays = playback is not None and playback.state in ("waiting", "playing")
-        return report(drone) | {
+        return state_of(drone) | {
             "setpoint": self.asked,
             "excitation": {"start_tick": playback.start_tick, "end_tick": playback.end_tick}
             if plays and playback is not None
