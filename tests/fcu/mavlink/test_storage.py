@@ -75,7 +75,7 @@ def stored(folder: Path) -> Iterator[World]:
     """One that keeps its parameters in a file, with a change that is not written yet."""
     with ParameterStore(folder / "parameters.json") as store:
         world = World(store=store)
-        store.set("ATT_KP", 9.0)
+        store.update({"ATT_KP": 9.0})
         yield world
 
 
@@ -191,7 +191,7 @@ def test_a_disk_that_refuses_is_told_once_for_each_trouble(tmp_path: Path) -> No
         return said
 
     assert seconds(2) == []
-    store.set("RATE_KP", 0.07)
+    store.update({"RATE_KP": 0.07})
     with pytest.raises(ParameterError):
         store.flush()
     ((severity, text),) = seconds(3)

@@ -78,10 +78,10 @@ def test_a_decimal_sent_as_float32_is_that_decimal(row: VehicleParameter, data: 
     value = float(f"{data.draw(st.floats(row.low, row.high)):.5g}")
     if row.low <= value <= row.high and (abs(value) > 1e-30 or value == 0.0):  # normal numbers of float32
         store = ParameterStore()
-        store.set(row.name, float(np.float32(value)))
+        store.update({row.name: float(np.float32(value))})
         assert store[row.name] == value
         revision = store.revision
-        store.set(row.name, float(np.float32(store[row.name])))  # what was read is sent back
+        store.update({row.name: float(np.float32(store[row.name]))})  # what was read is sent back
         assert store.revision == revision
 
 
@@ -91,21 +91,21 @@ def test_a_bound_is_reached_over_the_wire_and_not_passed() -> None:
         if row.kind == "float":
             for bound, beyond in ((row.low, -np.inf), (row.high, np.inf)):
                 sent = np.float32(bound)
-                store.set(row.name, float(sent))
+                store.update({row.name: float(sent)})
                 assert store[row.name] == bound, row.name
                 with pytest.raises(ParameterError, match="outside"):
-                    store.set(row.name, float(np.nextafter(sent, np.float32(beyond))))
+                    store.update({row.name: float(np.nextafter(sent, np.float32(beyond)))})
 
 
 def test_gains_change_in_flight_and_the_failsafe_does_not() -> None:
     store = ParameterStore()
-    store.set("RATE_KP", 0.05, armed=True)
+    store.update({"RATE_KP": 0.05}, armed=True)
     with pytest.raises(ParameterError, match="SAFE_SP_T: is changed only while disarmed"):
         store.update({"RATE_KP": 0.06, "SAFE_SP_T": 0.4}, armed=True)
     assert store["RATE_KP"] == 0.05
-    store.set("SAFE_SP_T", 0.4)
+    store.update({"SAFE_SP_T": 0.4})
     # A value that it has already is no change.
-    store.set("SAFE_SP_T", 0.4, armed=True)
+    store.update({"SAFE_SP_T": 0.4}, armed=True)
 
 
 def px4_crc(data: bytes, crc: int) -> int:

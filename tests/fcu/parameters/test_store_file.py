@@ -67,7 +67,7 @@ def test_rubbish_is_said_and_set_aside(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with ParameterStore(path) as store:
         assert len(store.remarks) == 1
-        store.set("RATE_KP", 0.07)
+        store.update({"RATE_KP": 0.07})
     with ParameterStore(path) as again:
         assert again.changed() == {"RATE_KP": 0.07}
 
@@ -91,11 +91,10 @@ def test_many_changes_are_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         writes.append(path.read_text())
 
     monkeypatch.setattr(store_file, "atomic_write", counted)
-    monkeypatch.setattr(store_file, "QUIET_S", 60.0)
-    monkeypatch.setattr(store_file, "LATEST_S", 60.0)
+    monkeypatch.setattr(store_file, "GATHER_S", 60.0)
     with ParameterStore(tmp_path / "p.json") as store:
         for k in range(1, 101):
-            store.set("RATE_KP", k / 1000)
+            store.update({"RATE_KP": k / 1000})
         store.flush()
         store.flush()
     assert [json.loads(text)["parameters"] for text in writes] == [{"RATE_KP": 0.1}]
@@ -112,7 +111,7 @@ def test_what_changes_while_the_file_is_written_is_waited_for_too(
         if not begun.is_set():
             begun.set()
             for _ in patiently():  # until somebody waits for the file
-                if store._file is not None and not store._file._at:
+                if store._file is not None and store._file._at_once:
                     break
         else:
             time.sleep(0.05)  # in which one who waited for the writing before only would be gone
@@ -121,11 +120,11 @@ def test_what_changes_while_the_file_is_written_is_waited_for_too(
         writes.append(json.loads(path.read_text())["parameters"]["RATE_KP"])
 
     monkeypatch.setattr(store_file, "atomic_write", slow)
-    monkeypatch.setattr(store_file, "QUIET_S", 0.0)
+    monkeypatch.setattr(store_file, "GATHER_S", 0.0)
     store = ParameterStore(tmp_path / "p.json")
-    store.set("RATE_KP", 0.07)
+    store.update({"RATE_KP": 0.07})
     assert begun.wait(PATIENCE_S)
-    store.set("RATE_KP", 0.05)
+    store.update({"RATE_KP": 0.05})
     store.flush(PATIENCE_S)
     assert writes == [0.07, 0.05]
     store.close()
@@ -134,21 +133,21 @@ def test_what_changes_while_the_file_is_written_is_waited_for_too(
 def test_a_disk_that_refuses_is_reported_and_stops_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     store = ParameterStore(tmp_path / "file" / "p.json")
-    store.set("RATE_KP", 0.07)
+    store.update({"RATE_KP": 0.07})
     with pytest.raises(ParameterError, match="not stored"):
         store.flush()
     assert store.failure is not None
-    store.set("RATE_KP", 0.05)
+    store.update({"RATE_KP": 0.05})
     assert store["RATE_KP"] == 0.05
     (tmp_path / "file").unlink()
     store.flush()
-    store.set("RATE_KP", 0.06)
+    store.update({"RATE_KP": 0.06})
     begun = time.monotonic()
     for _ in patiently():
         if "0.06" in (tmp_path / "file" / "p.json").read_text():
             break
     assert time.monotonic() - begun < RETRY_S, "what follows a success does not wait for another try"
-    store.set("RATE_KP", 0.05)
+    store.update({"RATE_KP": 0.05})
     store.close()
     assert store.failure is None
     with ParameterStore(tmp_path / "file" / "p.json") as again:

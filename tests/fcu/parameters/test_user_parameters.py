@@ -117,7 +117,7 @@ def test_a_bound_that_no_float32_holds_is_reached_and_not_passed() -> None:
     store, code = ParameterStore(), FlightCode([d], trusted=True)
     store.carry([own])
     for bound, reached in ((store.row("TMI_SHARE").low, 1 / 3), (store.row("TMI_SHARE").high, 2 / 3)):
-        store.set("TMI_SHARE", float(np.float32(bound)))
+        store.update({"TMI_SHARE": float(np.float32(bound))})
         code.set_parameters(store.user_values())
         flying = code.parameter(f"{KIND}.share")
         assert flying == pytest.approx(reached, rel=1e-7)

@@ -3,19 +3,22 @@
 import asyncio
 import threading
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterator
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from twodof.errors import TwodofError
+from twodof.errors import LinkError, TwodofError
 
 MOST_WAITING = 64
+BUSY = "too many requests wait"
 
-Work = Callable[[], object]
+Work = Callable[[], Any]
 Done = Callable[[Any], None]
+Steps = Generator[Work, Any, None]
+"""Work of a service in steps: what it yields is called in the worker's thread, and it goes on with the result."""
 
 
 def read_block(path: Path, at: int, size: int) -> bytes:
@@ -56,6 +59,18 @@ class BackgroundWorker:
         self._jobs.append((job, done))
         self._wanted.put((job, work))
         return True
+
+    def carry_out(self, steps: Steps, result: Any = None) -> None:
+        """Run `steps` up to the next work, with the `result` of the last one; each error of a work is raised in them.
+
+        A LinkError is raised in them if too many jobs wait.
+        """
+        try:
+            work = steps.throw(result) if isinstance(result, Exception) else steps.send(result)
+        except StopIteration:
+            return
+        if not self.submit(work, lambda found: self.carry_out(steps, found)):
+            self.carry_out(steps, LinkError(BUSY, "files", "try again"))
 
     def poll(self) -> None:
         """Hand over finished work."""
@@ -99,22 +114,18 @@ class PacedSender:
         self._lockstep = lockstep
         self._running = False
         self._turn = 0
-        self._messages: dict[Hashable, Iterator[Any]] = {}
+        self.messages: dict[Hashable, Iterator[Any]] = {}
+        """What is left to be sent, by client."""
 
     def start(self, key: Hashable, messages: Iterator[Any]) -> None:
         """Send `messages` to a client, in place of earlier ones that are not sent yet; in lockstep begin now."""
-        self._messages[key] = messages
+        self.messages[key] = messages
         if self._lockstep and not self._running:
             self._by_clock()
 
     def stop(self, key: Hashable) -> bool:
         """Stop sending to a client; return whether messages were left."""
-        return self._messages.pop(key, None) is not None
-
-    @property
-    def keys(self) -> tuple[Hashable, ...]:
-        """Return the clients for which messages are left."""
-        return tuple(self._messages)
+        return self.messages.pop(key, None) is not None
 
     def tick(self) -> None:
         """Send a portion after a control period; in lockstep do nothing."""
@@ -123,21 +134,21 @@ class PacedSender:
 
     def portion(self) -> bool:
         """Send a portion; return whether there is more."""
-        keys = [*self._messages]
+        keys = [*self.messages]
         self._turn += self.most
         for number in range(min(self.most, len(keys))):
             key = keys[(self._turn + number) % len(keys)]
             for _ in range(max(1, self.most // len(keys))):
-                messages = self._messages.get(key)
+                messages = self.messages.get(key)
                 if messages is None:
                     break
                 sent = next(messages, self)
-                if sent is self and self._messages.get(key) is messages:
-                    del self._messages[key]
+                if sent is self and self.messages.get(key) is messages:
+                    del self.messages[key]
                 if sent is self or sent is None:
                     break
                 self._send(key, sent)
-        return bool(self._messages)
+        return bool(self.messages)
 
     def _by_clock(self) -> None:
         self._running = self.portion()

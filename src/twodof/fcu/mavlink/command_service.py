@@ -1,12 +1,13 @@
 """Commands: COMMAND_LONG and COMMAND_INT in, one COMMAND_ACK out for each; handlers are registered by number."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from typing import NamedTuple
+from collections.abc import Callable, Generator, Hashable
+from typing import Any, NamedTuple
 
 from twodof.errors import TwodofError
 from twodof.fcu.command.command_lease import DONE, CommandResult, Source, unsupported
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.background import BackgroundWorker, Steps, Work
 from twodof.fcu.mavlink.service import Service, Vehicle, source, target
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.connection import Received
@@ -48,7 +49,9 @@ class CommandHandled(NamedTuple):
     """Event: a command was carried out and answered."""
 
 
-Handler = Callable[[ReceivedCommand], CommandResult]
+Answering = Generator[Work, Any, CommandResult]
+"""Steps to the answer of a command: disks are accessed in the background."""
+Handler = Callable[[ReceivedCommand], CommandResult | Answering]
 
 
 class CommandService(Service):
@@ -63,12 +66,19 @@ class CommandService(Service):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
         self._handlers: dict[int, Handler] = {}
-        self._polls: dict[int, Handler] = {}
+        self._polls: dict[int, Callable[[ReceivedCommand], CommandResult]] = {}
+        self._background = BackgroundWorker(inline=vehicle.lockstep)
         self._slow: set[int] = set()
         self.restart()
 
-    def on(self, number: MavCmd, handler: Handler, poll: Handler | None = None, slow: bool = False) -> None:
-        """Register the handler of a command.
+    def on(
+        self,
+        number: MavCmd,
+        handler: Handler,
+        poll: Callable[[ReceivedCommand], CommandResult] | None = None,
+        slow: bool = False,
+    ) -> None:
+        """Register the handler of a command, which returns the answer, or steps to it.
 
         A handler may answer IN_PROGRESS. Then `poll` is called after each control period until it returns another
         result. In lockstep IN_PROGRESS is sent to the client, so that it lets time run; for a `slow` command, which may
@@ -101,24 +111,24 @@ class CommandService(Service):
             params = (got.param1, got.param2, got.param3, got.param4, *last)
             repeated = getattr(got, "confirmation", 0) > 0
             command = ReceivedCommand(got.command, params, sender, received.peer, repeated)
-            self.acknowledge(command, self._carried_out(command, received))
+            result = self._carried_out(command, received)
+            if result is not None:
+                self.acknowledge(command, result)
             vehicle.bus.publish(CommandHandled())
         return True
 
     def after(self, step: ControlStep) -> None:
         self._tick = step.tick
+        self._background.poll()
         if self._pending:
             self.poll()
 
     def poll(self) -> None:
         """Answer commands that were in progress and are done."""
-        for what, (command, sequence) in [*self._pending.items()]:
-            result = self._polls[command.number](command)
-            if not result.in_progress:
-                del self._pending[what]
-                if result.accepted:
-                    self._remember(what, sequence)
-                self.acknowledge(command, result)
+        for command, sequence in [*self._pending.values()]:
+            poll = self._polls.get(command.number)
+            if poll is not None and not (result := poll(command)).in_progress:
+                self._end(command, sequence, result)
 
     def restart(self) -> None:
         self._tick = 0
@@ -136,7 +146,18 @@ class CommandService(Service):
             arms = command.number == MavCmd.COMPONENT_ARM_DISARM
             self._vehicle.explain(command.peer, result.text, MavSeverity.CRITICAL if arms else MavSeverity.WARNING)
 
-    def _carried_out(self, command: ReceivedCommand, received: Received) -> CommandResult:
+    def _end(self, command: ReceivedCommand, sequence: int, result: CommandResult) -> None:
+        """Answer a command that was in progress."""
+        if self._pending.pop(command.what, None) is not None:
+            if result.accepted:
+                self._remember(command.what, sequence)
+            self.acknowledge(command, result)
+
+    def _completed(self, command: ReceivedCommand, sequence: int, answering: Answering) -> Steps:
+        self._end(command, sequence, (yield from answering))
+
+    def _carried_out(self, command: ReceivedCommand, received: Received) -> CommandResult | None:
+        """Carry out a command and return the answer, None if it comes later."""
         handler = self._handlers.get(command.number)
         if handler is None:
             return unsupported()
@@ -150,6 +171,10 @@ class CommandService(Service):
         if again and not stops_motors(command.number, command.params[0]):
             return DONE
         result = handler(command)
+        if isinstance(result, Generator):
+            self._pending[what] = command, sequence
+            self._background.carry_out(self._completed(command, sequence, result))
+            return None
         if result.in_progress and command.number in self._polls:
             self._pending[what] = command, sequence
         elif result.accepted and command.number not in _ANSWERED_AGAIN:

@@ -8,12 +8,15 @@ Transfer Protocol".
 import struct
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
+from twodof.errors import LinkError, TwodofError
 from twodof.fcu.command.command_lease import Source
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender
+from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, Steps, Work
 from twodof.fcu.mavlink.file_tree import MAX_UPLOAD, FileFault, FileTree, OpenFile
 from twodof.fcu.mavlink.service import Service, Vehicle, source
 from twodof.link.connection import Received
@@ -117,8 +120,8 @@ UPLOAD_S = 30.0
 
 Answer = FtpPacket | Iterator[FtpPacket]
 """An answer, or a burst."""
-Work = Callable[[], Answer | Callable[[], Answer]]
-"""Function that makes the answer in the background, where disks are accessed, or returns one to call afterwards."""
+Answering = Generator[Work, Any, Answer]
+"""Steps to an answer: disks are accessed in the background."""
 
 
 class FileTransfer(Service):
@@ -132,17 +135,17 @@ class FileTransfer(Service):
         self._bursts = PacedSender(self._send, vehicle.lockstep, A_TICK)
         self.send_bursts = self._bursts.portion
         self._clients: OrderedDict[tuple[Hashable, Source], FtpClient] = OrderedDict()
-        self._does: dict[int, Callable[[FtpClient, FtpPacket], Answer | Work]] = {
+        self._does: dict[int, Callable[[FtpClient, FtpPacket], FtpPacket | Answering]] = {
             FtpOperation.NONE: lambda _, request: request.ack(),
             FtpOperation.TERMINATE: self._terminate,
             FtpOperation.RESET: self._reset,
-            FtpOperation.LIST: lambda _, request: lambda: self._listed(request),
-            FtpOperation.OPEN_RO: lambda client, request: lambda: self._opened(client, request),
+            FtpOperation.LIST: self._list,
+            FtpOperation.OPEN_RO: self._open,
             FtpOperation.READ: self._read,
             FtpOperation.CREATE: self._create,
             FtpOperation.WRITE: self._write,
             FtpOperation.REMOVE: self._remove,
-            FtpOperation.CRC32: lambda _, request: lambda: self._checksum(request),
+            FtpOperation.CRC32: self._checksum,
             FtpOperation.BURST: self._burst,
         }
 
@@ -182,42 +185,35 @@ class FileTransfer(Service):
         if request == client.request and request.op not in _READING and client.answer is not None:  # it got lost
             self._send(client.key, client.answer)
             return
-        client.request, client.answer = request, None
+        client.request, client.answer, client.busy = request, None, True
+        self._background.carry_out(self._carry_out(client, request))
+
+    def _carry_out(self, client: FtpClient, request: FtpPacket) -> Steps:
+        """Answer a request, and begin the next one that waits."""
         try:
-            found = self._carried_out(client, request)
+            found = self._handler(request)(client, request)
+            answer: Answer = found if isinstance(found, FtpPacket) else (yield from found)
         except FileFault as fault:
-            found = request.nak(fault.code)
-        if not callable(found):
-            self._answer(client, request, found)
-            return
-        client.busy = True
-        if not self._background.submit(found, lambda result: self._done(client, request, result)):
-            client.busy, client.request = False, None  # too much waits: it may ask again
+            answer = request.nak(fault.code)
+        except OSError as error:
+            answer = request.nak(FtpError.ERRNO, error.errno or 0)
+        except LinkError:  # too much waits: it may ask again
+            client.busy, client.request = False, None
             client.waiting.clear()
-
-    def _carried_out(self, client: FtpClient, request: FtpPacket) -> Answer | Work:
-        does = self._does.get(request.op)
-        if request.size > MOST_DATA:
-            raise FileFault(FtpError.DATA_SIZE)
-        if does is None:
-            raise FileFault(FtpError.PROTECTED if request.op in _REFUSED else FtpError.UNKNOWN)
-        return does(client, request)
-
-    def _done(self, client: FtpClient, request: FtpPacket, result: Answer | Callable[[], Answer] | Exception) -> None:
+            return
+        except TwodofError:
+            answer = request.nak(FtpError.FAIL)
         client.busy = False
-        try:
-            result = result() if callable(result) else result
-        except FileFault as fault:
-            result = fault
-        if isinstance(result, FileFault):
-            result = request.nak(result.code)
-        elif isinstance(result, OSError):
-            result = request.nak(FtpError.ERRNO, result.errno or 0)
-        elif isinstance(result, Exception):
-            result = request.nak(FtpError.FAIL)
-        self._answer(client, request, result)
+        self._answer(client, request, answer)
         while client.waiting and not client.busy:
             self._take_in(client, client.waiting.popleft())
+
+    def _handler(self, request: FtpPacket) -> Callable[[FtpClient, FtpPacket], FtpPacket | Answering]:
+        if request.size > MOST_DATA:
+            raise FileFault(FtpError.DATA_SIZE)
+        if request.op not in self._does:
+            raise FileFault(FtpError.PROTECTED if request.op in _REFUSED else FtpError.UNKNOWN)
+        return self._does[request.op]
 
     def _answer(self, client: FtpClient, request: FtpPacket, answer: Answer) -> None:
         if isinstance(answer, FtpPacket):
@@ -230,57 +226,37 @@ class FileTransfer(Service):
     def _send(self, key: tuple[Hashable, Source], packet: FtpPacket) -> None:
         self._vehicle.send(packed(packet, *key[1]), key[0])
 
-    def _listed(self, request: FtpPacket) -> FtpPacket:
+    def _list(self, _: FtpClient, request: FtpPacket) -> Answering:
         data = b""
-        for name, size in self.tree.entries(request.text)[request.offset :]:
+        for name, size in (yield partial(self.tree.entries, request.text))[request.offset :]:
             line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
             if len(data) + len(line) > MOST_DATA:
                 break
             data += line
         return request.ack(data) if data else request.nak(FtpError.END)
 
-    def _opened(self, client: FtpClient, request: FtpPacket) -> Callable[[], FtpPacket]:
-        file = self.tree.open(request.text)
+    def _open(self, client: FtpClient, request: FtpPacket) -> Answering:
+        file = yield partial(self.tree.open, request.text)
+        number = client.open(FtpSession(file), request.session)
+        return request.ack(struct.pack("<I", file.size), session=number)
 
-        def answer() -> FtpPacket:  # in the thread that knows the sessions
-            number = client.open(FtpSession(file), request.session)
-            return request.ack(struct.pack("<I", file.size), session=number)
+    def _checksum(self, _: FtpClient, request: FtpPacket) -> Answering:
+        return request.ack(struct.pack("<I", (yield partial(self.tree.checksum, request.text))))
 
-        return answer
+    def _read(self, client: FtpClient, request: FtpPacket) -> Answering:
+        data = yield partial(client.file(request).read, request.offset, request.size or MOST_DATA)
+        return request.ack(data) if data else request.nak(FtpError.END)
 
-    def _checksum(self, request: FtpPacket) -> FtpPacket:
-        return request.ack(struct.pack("<I", self.tree.checksum(request.text)))
-
-    def _read(self, client: FtpClient, request: FtpPacket) -> Work:
-        file = client.file(request)
-
-        def read() -> FtpPacket:
-            data = file.read(request.offset, request.size or MOST_DATA)
-            return request.ack(data) if data else request.nak(FtpError.END)
-
-        return read
-
-    def _burst(self, client: FtpClient, request: FtpPacket) -> Work:
+    def _burst(self, client: FtpClient, request: FtpPacket) -> Answering:
         file, most = client.file(request), request.size or MOST_DATA
+        data = yield partial(file.read, request.offset, BURST_BYTES // most * most)
+        return burst_packets(request, data, most, ends=request.offset + len(data) >= file.size)
 
-        def read() -> Iterator[FtpPacket]:
-            data = file.read(request.offset, BURST_BYTES // most * most)
-            return burst_packets(request, data, most, ends=request.offset + len(data) >= file.size)
-
-        return read
-
-    def _create(self, client: FtpClient, request: FtpPacket) -> Work:
+    def _create(self, client: FtpClient, request: FtpPacket) -> Answering:
         self._check_lease(client)
-
-        def answer() -> FtpPacket:
-            self._make_room_for_upload()
-            return request.ack(session=client.open(FtpSession(None, request.text, self._clock()), request.session))
-
-        def checked() -> Callable[[], FtpPacket]:
-            self.tree.target(request.text)
-            return answer
-
-        return checked
+        yield partial(self.tree.target, request.text)
+        self._make_room_for_upload()
+        return request.ack(session=client.open(FtpSession(None, request.text, self._clock()), request.session))
 
     def _write(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
         session = client.upload(request)
@@ -291,35 +267,25 @@ class FileTransfer(Service):
         session.upload[request.offset : request.offset + request.size] = request.data[: request.size]
         return request.ack()
 
-    def _terminate(self, client: FtpClient, request: FtpPacket) -> FtpPacket | Work:
+    def _terminate(self, client: FtpClient, request: FtpPacket) -> Answering:
         if client.bursts == request.session:
             self._bursts.stop(client.key)
         session = client.sessions.pop(request.session, None)
         if session is None or session.failed:
             raise FileFault(FtpError.SESSION if session is None else FtpError.FAIL)
-        if session.file is not None:
-            return request.ack()
-        self._check_lease(client)
-        path, content = session.path, bytes(session.upload)
-
-        def written() -> FtpPacket:
-            self.tree.upload(path, content)
-            return request.ack()
-
-        return written
+        if session.file is None:
+            self._check_lease(client)
+            yield partial(self.tree.upload, session.path, bytes(session.upload))
+        return request.ack()
 
     def _reset(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
         self._dismiss(client)
         return request.ack()
 
-    def _remove(self, client: FtpClient, request: FtpPacket) -> Work:
+    def _remove(self, client: FtpClient, request: FtpPacket) -> Answering:
         self._check_lease(client)
-
-        def removed() -> FtpPacket:
-            self.tree.remove(request.text)
-            return request.ack()
-
-        return removed
+        yield partial(self.tree.remove, request.text)
+        return request.ack()
 
     def _check_lease(self, client: FtpClient) -> None:
         """Take the lease for the client. If another client has it, tell the client and raise FileFault."""

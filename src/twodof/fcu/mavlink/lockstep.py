@@ -2,6 +2,7 @@
 
 from bisect import insort
 from collections.abc import Callable, Hashable
+from math import inf
 from typing import Any, NamedTuple
 
 from twodof.errors import RefusalReason, TwodofError
@@ -40,14 +41,10 @@ class LockstepService(Service):
         self._waiting: list[Grant] = []
 
     def after(self, step: ControlStep) -> None:
-        while self._waiting and self._controller.tick >= self._waiting[0].until:
-            grant = self._waiting.pop(0)
-            self._answer(grant.number, grant.peer)
+        self._answer_waiting(self._controller.tick)
 
     def restart(self) -> None:
-        while self._waiting:  # what was granted is void, and answered
-            grant = self._waiting.pop(0)
-            self._answer(grant.number, grant.peer)
+        self._answer_waiting(inf)  # what was granted is void, and answered
 
     def gone(self, peer: Hashable) -> None:
         self._waiting = [grant for grant in self._waiting if grant.peer != peer]
@@ -69,6 +66,12 @@ class LockstepService(Service):
         else:
             self._vehicle.refuse(received, result)
             self._answer(got.number, received.peer)
+
+    def _answer_waiting(self, tick: float) -> None:
+        """Answer the grants of time up to `tick`."""
+        while self._waiting and self._waiting[0].until <= tick:
+            grant = self._waiting.pop(0)
+            self._answer(grant.number, grant.peer)
 
     def _answer(self, number: int, peer: Hashable) -> None:
         controller = self._controller

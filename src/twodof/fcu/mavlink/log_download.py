@@ -11,8 +11,9 @@ from functools import partial
 from itertools import chain
 from typing import Any
 
+from twodof.errors import TwodofError
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, read_block
+from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, Steps, read_block
 from twodof.fcu.mavlink.service import Service, Vehicle, source
 from twodof.fcu.onboard_log.log_writer import StoredLog
 from twodof.fcu.onboard_log.logger import OnboardLogger
@@ -33,10 +34,10 @@ class LogDownload(Service):
 
     def __init__(self, vehicle: Vehicle, log: OnboardLogger) -> None:
         takes = {
-            "LOG_REQUEST_LIST": self._list,
-            "LOG_REQUEST_DATA": self._read,
+            "LOG_REQUEST_LIST": lambda received: self._do(received, self._list(received)),
+            "LOG_REQUEST_DATA": lambda received: self._do(received, self._read(received)),
             "LOG_REQUEST_END": lambda received: self._end(received.peer),
-            "LOG_ERASE": self._erase,
+            "LOG_ERASE": lambda received: self._do(received, self._erase(received)),
         }
         super().__init__(vehicle, takes, everybody=True)
         self._log = log
@@ -65,20 +66,24 @@ class LogDownload(Service):
         """Send a client the list entries and data that it still waits for, the list first."""
         self._sender.start(peer, chain(self._entries.get(peer, ()), self._data.get(peer, ())))
 
-    def _list(self, received: Received) -> None:
+    def _do(self, received: Received, steps: Steps) -> None:
+        """Carry out a request, and tell the client why that fails."""
+
+        def explained() -> Steps:
+            try:
+                yield from steps
+            except (OSError, TwodofError) as refusal:
+                self._vehicle.explain(received.peer, str(refusal))
+
+        self._background.carry_out(explained())
+
+    def _list(self, received: Received) -> Steps:
         peer, got = received.peer, received.message
-
-        def listed(found: object) -> None:
-            if not isinstance(found, list):
-                self._vehicle.explain(peer, str(found))
-                return
-            self._keep(peer, found)
-            rows = [*enumerate(found)][got.start : got.end + 1]
-            entries = (self._entry(len(found), *row) for row in rows) if found else iter([message("LOG_ENTRY")])
-            self._entries[peer] = entries
-            self._start(peer)
-
-        self._background.submit(self._log.logs, listed)
+        found = yield self._log.logs
+        self._keep(peer, found)
+        rows = [*enumerate(found)][got.start : got.end + 1]
+        self._entries[peer] = (self._entry(len(found), *row) for row in rows) if found else iter([message("LOG_ENTRY")])
+        self._start(peer)
 
     def _keep(self, peer: Hashable, logs: list[StoredLog]) -> None:
         self._lists[peer] = logs
@@ -90,22 +95,15 @@ class LogDownload(Service):
         last = {"num_logs": count, "last_log_num": count - 1}
         return message("LOG_ENTRY", id=number, size=size, time_utc=time_utc, **last)
 
-    def _read(self, received: Received) -> None:
+    def _read(self, received: Received) -> Steps:
         peer, got = received.peer, received.message
-
-        def begin(logs: object) -> None:
-            if not isinstance(logs, list) or got.id >= len(logs):
-                self._vehicle.explain(peer, f"there is no log {got.id}")
-                return
-            self._keep(peer, logs)
-            self._data[peer] = self._parts(peer, logs[got.id], got.id, got.ofs, got.count)
-            self._start(peer)
-
-        known = self._lists.get(peer)
-        if known:
-            begin(known)
-        else:  # it may know the list from before
-            self._background.submit(self._log.logs, begin)
+        logs = self._lists.get(peer) or (yield self._log.logs)  # it may know the list from before
+        if got.id >= len(logs):
+            self._vehicle.explain(peer, f"there is no log {got.id}")
+            return
+        self._keep(peer, logs)
+        self._data[peer] = self._parts(peer, logs[got.id], got.id, got.ofs, got.count)
+        self._start(peer)
 
     def _parts(self, peer: Hashable, log: StoredLog, number: int, at: int, count: int) -> Iterator[Any]:
         """Yield LOG_DATA, None while the disk is read."""
@@ -131,17 +129,13 @@ class LogDownload(Service):
         if tail:
             yield self._pack(at, number, 0, *bytes(PART))
 
-    def _erase(self, received: Received) -> None:
-        peer = received.peer
+    def _erase(self, received: Received) -> Steps:
         taken = self._vehicle.take(source(received), "logs")
         if not taken.accepted:
-            self._vehicle.explain(peer, taken.text)
+            self._vehicle.explain(received.peer, taken.text)
             return
-
-        def erased(result: object) -> None:
+        try:
+            yield self._log.erase
+        finally:
             for reader in [*self._lists]:
                 self.gone(reader)
-            if isinstance(result, Exception):
-                self._vehicle.explain(peer, str(result))
-
-        self._background.submit(self._log.erase, erased)

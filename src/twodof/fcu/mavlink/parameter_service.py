@@ -53,7 +53,7 @@ class ParameterService(Service):
         vehicle.bus.subscribe(ParametersRelisted, self._relist)
 
     def after(self, step: ControlStep) -> None:
-        self._sender.most = A_TICK * len(self._sender.keys)
+        self._sender.most = A_TICK * len(self._sender.messages)
         self._sender.tick()
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
@@ -153,7 +153,7 @@ class ParameterService(Service):
             self._vehicle.send(self._value(name))
 
     def _relist(self, _: ParametersRelisted) -> None:
-        for peer in self._sender.keys:
+        for peer in [*self._sender.messages]:
             self._sender.start(peer, self._listed(with_hash=True))
         self._vehicle.send(self._hash())
 

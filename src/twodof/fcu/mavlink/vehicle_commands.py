@@ -2,7 +2,7 @@
 
 import asyncio
 import gc
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
@@ -10,11 +10,10 @@ from twodof.compile.wasm.target import check_ready
 from twodof.errors import CompileError, ParameterError, RefusalReason, TwodofError
 from twodof.fcu.command.command_lease import DONE, CommandResult, denied, failed, rejected, unsupported
 from twodof.fcu.control.controllers import Controllers
-from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
+from twodof.fcu.mavlink.command_service import Answering, CommandService, ReceivedCommand
 from twodof.fcu.mavlink.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.message_requests import MessageRequests
 from twodof.fcu.mavlink.service import Service, Vehicle, source, whole
-from twodof.fcu.parameters.parameter_store import SAVE_S
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import MavCmd, MavResult
 from twodof.link.mavlink.messages import message
@@ -33,7 +32,7 @@ class ArmingCommands:
         self._vehicle = vehicle
         self._commander = vehicle.commander
         self._restart = restart
-        commands.on(MavCmd.COMPONENT_ARM_DISARM, self._arm_or_disarm, self._armed)
+        commands.on(MavCmd.COMPONENT_ARM_DISARM, self._arm_or_disarm, lambda _: self._commander.arming.answer)
         commands.on(MavCmd.DO_FLIGHTTERMINATION, self._terminate)
         commands.on(MavCmd.PREFLIGHT_REBOOT_SHUTDOWN, self._reboot)
         commands.on(MavCmd.RUN_PREARM_CHECKS, self._check)
@@ -46,10 +45,6 @@ class ArmingCommands:
         if whole(command.params[1]) == FORCE:
             return self._commander.arming.kill(command.source)
         return self._commander.arming.disarm(command.source)
-
-    def _armed(self, _command: ReceivedCommand) -> CommandResult:
-        """Return the result of a request to arm, IN_PROGRESS until it is known."""
-        return self._commander.arming.answer
 
     def _check(self, command: ReceivedCommand) -> CommandResult:
         """Send the findings of the pre-arm checks, which the failsafe makes at every tick, as text."""
@@ -143,25 +138,21 @@ class ModeService(Service):
 
 LOAD, SAVE, RESET_CONFIG, RESET_SENSORS, RESET_ALL = range(5)
 """PREFLIGHT_STORAGE_PARAMETER_ACTION."""
-MOST_WAITING = 16
 
 
 class StorageCommand:
     """Command to store, load or reset parameters, while disarmed only, as in PX4.
 
     Each answer comes when the present values are on the disk, or gives the reason why they are not. The control loop
-    does not wait for the disk but looks after each control period. In lockstep, where periods may stand still, the
-    command itself waits.
+    does not wait for the disk; in lockstep, where periods may stand still, the command itself does.
     """
 
     def __init__(self, vehicle: Vehicle, commands: CommandService) -> None:
         self._commander = vehicle.commander
         self._store = vehicle.store
-        self._lockstep = vehicle.lockstep
-        self._waiting: dict[Hashable, Callable[[], bool]] = {}
-        commands.on(MavCmd.PREFLIGHT_STORAGE, self._act, self._stored)
+        commands.on(MavCmd.PREFLIGHT_STORAGE, self._act)
 
-    def _act(self, command: ReceivedCommand) -> CommandResult:
+    def _act(self, command: ReceivedCommand) -> CommandResult | Answering:
         action = whole(command.params[0], -1)
         if not LOAD <= action <= RESET_ALL:
             return denied()
@@ -169,8 +160,6 @@ class StorageCommand:
             return unsupported("nothing of the sensors is calibrated")
         if self._commander.armed:
             return rejected("parameters are stored and reset while disarmed only", RefusalReason.ARMED)
-        if len(self._waiting) >= MOST_WAITING:
-            return rejected(f"{MOST_WAITING} others wait for the disk: try again later")
         if action in (RESET_CONFIG, RESET_ALL):
             taken = self._commander.lease.take(command.source, "reset of the parameters")
             if not taken.accepted:
@@ -179,25 +168,17 @@ class StorageCommand:
                 self._store.reset(self._commander.armed)
             except ParameterError as reason:
                 return failed(str(reason))
-        stored = self._store.save()
-        if stored is None:
-            unkept = unsupported("it keeps no parameters: start it with a folder for its state")
-            return unkept if action in (LOAD, SAVE) else DONE
-        self._waiting[command.what] = stored
-        return self._stored(command)
+        if self._store.kept:
+            return self._save()
+        unkept = unsupported("it keeps no parameters: start it with a folder for its state")
+        return unkept if action in (LOAD, SAVE) else DONE
 
-    def _stored(self, command: ReceivedCommand) -> CommandResult:
-        """Return the result of a command that waits for the disk, IN_PROGRESS until it is known."""
-        result = DONE
+    def _save(self) -> Answering:
         try:
-            if self._lockstep:
-                self._store.flush(SAVE_S)
-            elif not self._waiting[command.what]():
-                return CommandResult(MavResult.IN_PROGRESS)
-        except ParameterError as reason:
-            result = failed(f"parameters are not stored: {reason}")
-        del self._waiting[command.what]
-        return result
+            yield self._store.save
+        except TwodofError as reason:
+            return failed(f"parameters are not stored: {reason}")
+        return DONE
 
 
 ASK = 1.0

@@ -1,7 +1,7 @@
 """Store of the vehicle's parameters: bounded and typed, changed all or none, kept in a file that survives a crash."""
 
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -53,7 +53,8 @@ class ParameterStore(Mapping[str, float]):
     ) -> None:
         """Read the file; `values` take precedence over it. Raises ParameterError as `update` does."""
         self._system = system
-        self._users: tuple[UserParameters, ...] = ()
+        self.carried: tuple[UserParameters, ...] = ()
+        """The users' controllers that fly, with their parameters."""
         self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
         self._list()
         self._set = ParameterSet(table=vehicle_rows(system))
@@ -107,14 +108,13 @@ class ParameterStore(Mapping[str, float]):
             if row.path and not row.of
         }
 
-    @property
-    def carried(self) -> tuple[UserParameters, ...]:
-        """Return the users' controllers that fly, with their parameters."""
-        return self._users
+    def values_by_path(self) -> dict[str, Any]:
+        """Return all values that fly by path: those of the flight code and of the users' controllers."""
+        return self.flying() | self.user_values()
 
     def user_values(self) -> dict[str, Any]:
         """Return the values of the users' controllers by path (`attitude_control.k_q`): numbers, lists for arrays."""
-        return {path: value for one in self._users for path, value in one.flying(self._set).items()}
+        return {path: value for one in self.carried for path, value in one.flying(self._set).items()}
 
     def carry(self, users: Sequence[UserParameters]) -> tuple[str, ...]:
         """List the parameters of the controllers `users`, which fly from now on, in place of the earlier ones.
@@ -122,11 +122,11 @@ class ParameterStore(Mapping[str, float]):
         A controller gets the values that were stored for exactly the same diagram, else its defaults. Return remarks on
         that, for the clients. All other parameters keep their values.
         """
-        if [one.identity for one in users] == [one.identity for one in self._users]:
+        if [one.identity for one in users] == [one.identity for one in self.carried]:
             return ()
         self._keep_tuned()
         values = {row.name: self._set[row.name] for row in vehicle_rows(self._system)}
-        self._users = tuple(users)
+        self.carried = tuple(users)
         self._list()
         table = (*vehicle_rows(self._system), *(row for one in users for row in one.rows))
         fresh = ParameterSet(values, table)
@@ -177,13 +177,14 @@ class ParameterStore(Mapping[str, float]):
             crc = zlib.crc32(row.bits(self._set[row.name]), zlib.crc32(row.name.encode("ascii"), crc))
         return crc ^ 0xFFFFFFFF
 
-    def save(self) -> Callable[[], bool] | None:
-        """Write all values now, without waiting. Return a function that tells if they are stored, None without a file.
+    @property
+    def kept(self) -> bool:
+        """Return whether the values are kept in a file."""
+        return self._file is not None
 
-        The function returns True once the values are on the disk. It raises ParameterError if the disk has refused, or
-        has not answered for `SAVE_S`.
-        """
-        return None if self._file is None else self._file.save(SAVE_S)
+    def save(self) -> None:
+        """Write all values now. Raises ParameterError if the disk refuses, or has not answered for `SAVE_S`."""
+        self.flush(SAVE_S)
 
     def flush(self, deadline_s: float = 10.0) -> None:
         """Wait until the file holds all values. Raises ParameterError if the disk refuses or does not answer."""
@@ -208,7 +209,7 @@ class ParameterStore(Mapping[str, float]):
 
     def _list(self) -> None:
         """Sort all rows as PX4 does, by name."""
-        users = (row for one in self._users for row in one.rows)
+        users = (row for one in self.carried for row in one.rows)
         self.rows: tuple[VehicleParameter, ...] = tuple(
             sorted((*wire_rows(self._system), *users), key=lambda row: row.name)
         )
@@ -216,7 +217,7 @@ class ParameterStore(Mapping[str, float]):
 
     def _keep_tuned(self) -> None:
         """Remember the tuning of the flying controllers, and forget the oldest."""
-        for one in self._users:
+        for one in self.carried:
             self._tuned.pop(one.identity, None)
             values = {row.user_path: self._set[row.name] for row in one.rows if self._set[row.name] != row.default}
             if values:

@@ -1,11 +1,9 @@
 """The file in which the vehicle's parameters persist: replaced as a whole by a thread, and checked when it is read."""
 
 import json
-import math
 import threading
-import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,10 +13,8 @@ from twodof.flightlog.atomic import atomic_write, make_folder
 
 VERSION = 1
 MAX_BYTES = 1 << 20
-QUIET_S = 0.25
-"""Time without a change of the values after which the file is written [s]."""
-LATEST_S = 2.0
-"""Longest time from a first change until the file is written [s]."""
+GATHER_S = 0.25
+"""Time from a first change of the values until the file is written [s], with the changes that come meanwhile."""
 RETRY_S = 5.0
 
 
@@ -48,8 +44,7 @@ class StoreFile:
         self.failure: TwodofError | None = None
         self._changed = threading.Condition()
         self._wanted: StoredParameters | None = None
-        self._at, self._latest, self._retry = math.inf, 0.0, 0.0  # when it is written; 0: now
-        self._closing = False
+        self._at_once = self._closing = False
         self._begun = self._tries = 0  # how often writing was begun, and ended
         self._thread: threading.Thread | None = None
 
@@ -67,50 +62,28 @@ class StoreFile:
     def write(self, kept: StoredParameters) -> None:
         """Write `kept` soon; returns at once."""
         with self._changed:
-            now = time.monotonic()
-            if self._wanted is None:
-                self._latest = now + LATEST_S
             self._wanted = kept
-            if self._at:
-                self._at = max(self._retry, min(now + QUIET_S, self._latest))
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
                 self._thread.start()
             self._changed.notify_all()
 
-    def save(self, deadline_s: float) -> Callable[[], bool]:
-        """Write the waiting content now; return at once a function that returns True once it is on the disk.
+    def flush(self, deadline_s: float) -> None:
+        """Write the waiting content now, and wait until it is on the disk.
 
-        The function raises ParameterError if the disk has refused, or has not answered within `deadline_s` [s].
+        Raises ParameterError if the disk has refused, or has not answered within `deadline_s` [s].
         """
         with self._changed:
-            if self._wanted is not None:
-                self._at = 0.0
+            self._at_once = self._wanted is not None
             number = self._begun + 1  # one that is under way may be writing what was given before
             self._changed.notify_all()
-        end = time.monotonic() + deadline_s
-
-        def stored() -> bool:
-            with self._changed:
-                if self._wanted is None:
-                    return True
-                done = self._tries >= number
-            if done and self.failure is not None:
+            done = self._changed.wait_for(lambda: self._wanted is None or self._tries >= number, deadline_s)
+            if done and self._wanted is not None and self.failure is not None:
                 remedy = "store them on another disk: the values fly, but are not stored"
                 raise ParameterError(self.failure.what, self.failure.where, remedy)
-            if not done and time.monotonic() >= end:
+            if not done:
                 silent = f"the disk has not answered within {deadline_s:g} s"
                 raise ParameterError(silent, str(self.path), "store them on another disk")
-            return done
-
-        return stored
-
-    def flush(self, deadline_s: float) -> None:
-        """Wait until the waiting content is written. Raises ParameterError as the function of `save` does."""
-        stored = self.save(deadline_s)
-        with self._changed:
-            if not self._changed.wait_for(stored, deadline_s):
-                stored()  # raises: the deadline has passed since it was asked last
 
     def close(self, deadline_s: float) -> None:
         """Write the waiting content and end the thread. Raises ParameterError as `flush`."""
@@ -128,24 +101,20 @@ class StoreFile:
     def _run(self) -> None:
         while True:
             with self._changed:
-                while not self._closing and (left := self._at - time.monotonic()) > 0.0:
-                    self._changed.wait(None if left == math.inf else left)
+                self._changed.wait_for(lambda: self._wanted is not None or self._closing)
+                wait_s = RETRY_S if self.failure is not None else GATHER_S
+                self._changed.wait_for(lambda: self._at_once or self._closing, wait_s)
                 kept = self._wanted
                 if kept is None or self._closing:
                     return
-                self._at = math.inf
+                self._at_once = False
                 self._begun += 1
             failure = self._store(kept)
             with self._changed:
                 self.failure = failure
                 self._tries += 1
-                if failure is not None:
-                    self._retry = time.monotonic() + RETRY_S
-                    self._at = min(self._at, self._retry)
-                else:
-                    self._retry = 0.0
-                    if self._wanted is kept:
-                        self._wanted, self._at = None, math.inf
+                if failure is None and self._wanted is kept:
+                    self._wanted = None
                 self._changed.notify_all()
 
     def _store(self, kept: StoredParameters) -> TwodofError | None:
