@@ -11,7 +11,7 @@ import pytest
 from tests.fcu.flights import exhausting
 from twodof.errors import CompileError, LinkError, LogError, ParameterError
 from twodof.fcu.control import flight_code
-from twodof.fcu.control.controllers import Controllers, controller_identity
+from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
@@ -93,10 +93,10 @@ def test_only_what_was_given_is_trusted_and_only_while_nothing_was_uploaded(tmp_
         assert sorted(diagram.name for diagram in code.controllers) == ["lqr_attitude", "pid_position"]
     made.uploads.flash(starter("stock-attitude"))
     made.uploads.flash(starter("stock-position"))
-    assert controller_identity(made.build_uploaded()[0]).controller == "stock"
+    assert made.build_uploaded()[0].identity.controller == "stock"
     made.uploads.remove("position_control")
     made.uploads.remove("attitude_control")
-    assert controller_identity(made.build_uploaded()[0]).controller == "pid_position"
+    assert made.build_uploaded()[0].identity.controller == "pid_position"
     made.keep({})
     assert made.build()[0].trusted
 

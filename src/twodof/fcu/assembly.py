@@ -3,11 +3,11 @@
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.control.controllers import ControllerIdentity, Controllers, controller_identity
-from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.controllers import Controllers
+from twodof.fcu.control.flight_code import ControllerIdentity, ControlStep
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
 from twodof.fcu.control.loop import FlightController, OnboardEventBus
 from twodof.fcu.mavlink.batches import BatchService
@@ -34,7 +34,7 @@ from twodof.signals import TICK_MS
 
 
 class MavlinkServices:
-    """The MAVLink services of one vehicle, in the order in which they get messages.
+    """The MAVLink services of one vehicle: `services` get messages in this order.
 
     Further services, such as log download, register with `commands.on`, `requests.on` and `telemetry`.
 
@@ -59,80 +59,19 @@ class MavlinkServices:
         answer_versions(self.requests, vehicle.address[0], controller.hardware.name)
         ArmingCommands(vehicle, commands, restart)
         StorageCommand(vehicle, commands)
-        heartbeat = Heartbeat(vehicle, telemetry)
-        modes = ModeService(vehicle, commands, self.requests, telemetry)
-        batches = BatchService(vehicle)
-        parameters = ParameterService(vehicle)
-        self.services: list[Service] = [  # in the order in which a server asks them
+        parameters, batches = ParameterService(vehicle), BatchService(vehicle)
+        self.services: list[Service] = [
             Clients(vehicle),
             commands,
             TransactionService(vehicle, parameters),
             parameters,
-            modes,
+            ModeService(vehicle, commands, self.requests, telemetry),
             MissionService(vehicle),
             StreamService(vehicle, commands, telemetry, batches, profile),
             batches,
-            heartbeat,
+            Heartbeat(vehicle, telemetry),
             StatusTextService(vehicle),
         ]
-
-
-class ActiveConfiguration:
-    """The flight code that flies, built from `controllers`, with its parameters kept at the values of `store`.
-
-    `remarks` says what of the stored values could not be used. `fresh` starts without uploads and with all defaults.
-    """
-
-    def __init__(self, controllers: Controllers, store: ParameterStore, fresh: bool = False) -> None:
-        """Build the flight code. Raises as `Controllers.build`, and DiagramError if uploads cannot be deleted."""
-        if fresh:
-            controllers.forget()
-        self.code, damage = controllers.build()
-        self._store = store
-        tuned = store.carry(self.code.user_parameters)
-        if fresh:
-            tuned = ()
-            store.reset()
-        self._values = store.flying() | store.user_values()
-        self.code.set_parameters(self._values)
-        self.remarks = [text for text in (damage, *store.remarks, *tuned, *self._hidden()) if text]
-        self._named = (self.code, controller_identity(self.code))
-        self._counted = (-1, 0)  # a revision of the store, and how many parameters differ from their defaults in it
-
-    def attach(self, controller: FlightController) -> None:
-        """Apply each change of the store to the flight code of `controller` before its next tick."""
-        self._controller = controller
-        self._store.bus.subscribe(ParametersChanged, self._fly_changes)
-
-    def fly_replaced(self) -> list[str]:
-        """List the parameters of the users' controllers in a new flight code; return remarks for the clients."""
-        self.code = self._controller.code
-        remarks = self._store.carry(self.code.user_parameters)
-        own = self._store.user_values()
-        self._values = self._store.flying() | own
-        self.code.set_parameters(own)
-        return [*remarks, *self._hidden()]
-
-    @property
-    def identity(self) -> ControllerIdentity:
-        """Return the active controller, and the number of parameters that differ from their defaults."""
-        code = self._controller.code
-        if self._named[0] is not code:
-            self._named = (code, controller_identity(code))
-        if self._counted[0] != self._store.revision:  # a client may have TWODOF_RIG sent in every control period
-            self._counted = (self._store.revision, len(self._store.changed()))
-        return self._named[1]._replace(changed=self._counted[1])
-
-    def _fly_changes(self, _: ParametersChanged) -> None:
-        values: dict[str, Any] = self._store.flying() | self._store.user_values()
-        changed = {name: value for name, value in values.items() if value != self._values[name]}
-        self._values = values
-        if changed:
-            self._controller.code.set_parameters(changed)
-
-    def _hidden(self) -> list[str]:
-        """Return remarks on parameters of the users' controllers that are not in the list."""
-        return [one.remark for one in self.code.user_parameters if one.remark]
 
 
 class Assembly:
@@ -142,6 +81,8 @@ class Assembly:
     of the streams that every client gets (link/mavlink/dialect.py). `signing` is required of every client. `fresh`
     starts with all parameters at their defaults and without uploads. `close` ends the parts that run outside the event
     loop; the server closes by itself.
+
+    Raises as `Controllers.build`, and DiagramError if uploads cannot be deleted.
     """
 
     def __init__(
@@ -157,11 +98,19 @@ class Assembly:
     ) -> None:
         bus = OnboardEventBus()
         self.store = store = ParameterStore(None if state is None else state / "parameters.json", system, bus=bus)
-        self.configuration = ActiveConfiguration(controllers, store, fresh)
+        if fresh:
+            controllers.forget()
+        code, damage = controllers.build()
+        tuned = store.carry(code.user_parameters)
+        if fresh:
+            tuned = ()
+            store.reset()
+        self._values = store.values_by_path()
+        code.set_parameters(self._values)
         self.commander = commander = Commander(hardware, lambda: store["THRUST_BAR"], lockstep)
-        self.controller = FlightController(hardware, self.configuration.code, commander, lockstep, bus)
+        self.controller = FlightController(hardware, code, commander, lockstep, bus)
         self.controller.remarks = commander.remarks
-        self.configuration.attach(self.controller)
+        bus.subscribe(ParametersChanged, self._fly_changes)
         self.server = server = Server(self.controller, system, signing, pilot=lambda: commander.lease.holder)
         self._closing = ExitStack()
         self._closing.callback(store.close)
@@ -175,7 +124,7 @@ class Assembly:
         self.px4 = MavlinkServices(
             Vehicle(server, system, self.controller, commander, store),
             restart=self.controller.reset if hardware.virtual else None,
-            identity=lambda: self.configuration.identity,
+            identity=lambda: self.flown,
             lost=lambda: server.lost,
             truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
             profile=rates,
@@ -183,7 +132,12 @@ class Assembly:
         self._reload = ReloadCommand(self.px4.vehicle, self.px4.commands, controllers, self._replaced)
         server.services += self._services(state)
         commander.unfit = self._unfit
-        self._say(self.configuration.remarks)
+        self._say((damage, *store.remarks, *tuned))
+
+    @property
+    def flown(self) -> ControllerIdentity:
+        """Identity of the controller that flies, and the number of parameters that differ from their defaults."""
+        return self.controller.code.identity._replace(changed=len(self.store.changed()))
 
     def _services(self, state: Path | None) -> list[Service]:
         """Return all services in their order: the lease hears every frame, lockstep ends a tick last."""
@@ -209,18 +163,32 @@ class Assembly:
         """Write parameters and log to the disk, and end. Raises ParameterError or LogError if the disk refuses."""
         self._closing.close()
 
+    def _fly_changes(self, _: ParametersChanged) -> None:
+        """Apply changed parameters before the next tick."""
+        values = self.store.values_by_path()
+        changed = {name: value for name, value in values.items() if value != self._values[name]}
+        self._values = values
+        if changed:
+            self.controller.code.set_parameters(changed)
+
     def _replaced(self) -> None:
         """List the parameters of the uploaded controllers, which fly from the next tick on."""
-        self._say(self.configuration.fly_replaced())
+        code = self.controller.code
+        remarks = self.store.carry(code.user_parameters)
+        self._values = self.store.values_by_path()
+        code.set_parameters(self.store.user_values())
+        self._say(remarks)
 
     def _say(self, remarks: Iterable[str]) -> None:
-        self.commander.remarks.extend((MavSeverity.WARNING, text) for text in remarks)
+        """Tell the clients `remarks`, and which parameters of the users' controllers are not in the list."""
+        hidden = (one.remark for one in self.controller.code.user_parameters)
+        self.commander.remarks.extend((MavSeverity.WARNING, text) for text in (*remarks, *hidden) if text)
 
     def _about(self) -> dict[str, str | int]:
         """Return the facts of the flight for a log."""
         hardware = self.controller.hardware
         about: dict[str, str | int] = {"rig": hardware.name, "seed": hardware.seed, "rings": int(hardware.rings)}
-        return about | {"controller": self.configuration.identity.controller}
+        return about | {"controller": self.flown.controller}
 
     def _unfit(self) -> str:
         """Return why the controller cannot fly, "" if it can."""

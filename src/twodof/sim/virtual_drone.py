@@ -13,8 +13,8 @@ from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
 from twodof.fcu.assembly import Assembly
-from twodof.fcu.control.controllers import ControllerIdentity, Controllers
-from twodof.fcu.control.flight_code import MEASURED, FlightCode
+from twodof.fcu.control.controllers import Controllers
+from twodof.fcu.control.flight_code import MEASURED, ControllerIdentity, FlightCode
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.link.mavlink.dialect import PROFILES
 from twodof.link.signing import Signing
@@ -223,7 +223,7 @@ class VirtualDrone:
     @property
     def flown(self) -> ControllerIdentity:
         """Identity of the controller that flies, and the number of parameters that differ from their defaults."""
-        return self.assembly.configuration.identity
+        return self.assembly.flown
 
     async def __aenter__(self) -> Self:
         self._running = asyncio.create_task(self.server.run(), name=f"drone {self.server.system}")

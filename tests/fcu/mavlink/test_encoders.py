@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World, step
-from twodof.fcu.control.controllers import ControllerIdentity
+from twodof.fcu.control.flight_code import ControllerIdentity
 from twodof.fcu.mavlink.encoders import FENCE, PREARM, PRESENT, deciding
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.link.mavlink.framing import Parser, decode, encode

@@ -1,9 +1,7 @@
 """The controllers that fly: those given at the start, and those uploaded since; rebuilt while disarmed."""
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 from twodof.blocks import Diagram
 from twodof.blocks.schema.json_form import to_json
@@ -12,14 +10,6 @@ from twodof.fcu.control.flight_code import FlightCode
 from twodof.flight.controller_store import STOCK, ControllerStore
 from twodof.flight.starters import load_diagram, starter
 from twodof.flight.templates import TEMPLATES, by_kind
-
-
-class ControllerIdentity(NamedTuple):
-    """Identity of a controller: its name, 64 bits of its diagram's SHA-256, number of tuned parameters."""
-
-    controller: str = "stock"
-    diagram: int = 0
-    changed: int = 0
 
 
 class Controllers:
@@ -111,12 +101,3 @@ def _fill(store: ControllerStore | None, diagrams: Mapping[str, Diagram]) -> Non
             store.flash(diagrams[kind])
         else:
             store.remove(kind)
-
-
-def controller_identity(code: FlightCode) -> ControllerIdentity:
-    """Return the identity of the controllers in `code`."""
-    if not code.controllers:
-        return ControllerIdentity()
-    names = "+".join(diagram.name for diagram in code.controllers)
-    digest = hashlib.sha256("".join(to_json(diagram) for diagram in code.controllers).encode())
-    return ControllerIdentity(names, int.from_bytes(digest.digest()[:8], "big"))

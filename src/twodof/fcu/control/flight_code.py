@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, cached_property
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from twodof.blocks import Diagram
 from twodof.blocks.expressions.numbers import FLOATS
+from twodof.blocks.schema.json_form import to_json
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
@@ -78,6 +80,14 @@ _measured = attrgetter(*MEASURED)
 _USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 
 
+class ControllerIdentity(NamedTuple):
+    """Identity of a controller: its name, 64 bits of its diagram's SHA-256, number of tuned parameters."""
+
+    controller: str = "stock"
+    diagram: int = 0
+    changed: int = 0
+
+
 class FlightCode:
     """The flight code with the failsafe, compiled for this machine, with its states and parameters.
 
@@ -118,6 +128,15 @@ class FlightCode:
         self._armed = False
         self._limits: dict[str, float] = {}
         self._read_limits()
+
+    @cached_property
+    def identity(self) -> ControllerIdentity:
+        """Return the identity of the users' controllers."""
+        if not self.controllers:
+            return ControllerIdentity()
+        names = "+".join(diagram.name for diagram in self.controllers)
+        digest = hashlib.sha256("".join(to_json(diagram) for diagram in self.controllers).encode())
+        return ControllerIdentity(names, int.from_bytes(digest.digest()[:8], "big"))
 
     @property
     def user_fault(self) -> str:

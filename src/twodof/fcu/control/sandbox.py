@@ -64,7 +64,6 @@ class Sandbox:
             raise CompileError("there is no WebAssembly", diagram.name, INSTALL)
         self.program = program
         self.timed = False
-        self.late_steps = 0
         self._renew()
 
     def _renew(self) -> None:
@@ -153,6 +152,5 @@ class Sandbox:
     def _overran(self, used: int) -> None:
         took = f"{self.name} took {used * 1e-6:.1f} ms of the processor for a step"
         self.fault = self.fault or f"{took}, at most {BUDGET_NS * 1e-6:g} ms are allowed"
-        self.late_steps += 1
         self._good = 0
         self._pause = self._rest = min(max(PAUSE, 2 * self._pause), LONGEST_PAUSE)

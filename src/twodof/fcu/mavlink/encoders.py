@@ -11,8 +11,7 @@ from math import cos, isfinite, nan, sin
 from typing import Any
 
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.control.controllers import ControllerIdentity
-from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.flight_code import ControllerIdentity, ControlStep
 from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.service import MASK_32
