@@ -20,7 +20,7 @@ from twodof.gcs import Drone, discover, identity
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
-from twodof.link.signing import Key, Signing, Stamps, write_key
+from twodof.link.signing import Key, Signing, SigningVerdict, Stamps, write_key
 from twodof.link.transport import open_transport
 from twodof.link.transport.url import Ports
 from twodof.sim.virtual_drone import VirtualDrone
@@ -50,11 +50,11 @@ def test_a_signed_drone_without_its_key_is_lost_with_a_reason(lockstep: bool) ->
                 await drone.listen("memin://signed")
                 with pytest.raises(LinkLost, match=r"no drone was heard.*: \d+ frames came, signed with another key"):
                     await AsyncDrone.connect("mem://signed", timeout=2.5, key=Key.fresh())
-                assert signing.counts.forged > 0
+                assert signing.counts[SigningVerdict.FORGED] > 0
                 with pytest.raises(LinkLost, match=r"\d+ frames are signed.*key="):
                     await AsyncDrone.connect("mem://signed", timeout=2.5)
-                assert signing.counts.unsigned > 0
-                assert signing.counts.accepted == 0
+                assert signing.counts[SigningVerdict.UNSIGNED] > 0
+                assert signing.counts[SigningVerdict.ACCEPTED] == 0
                 assert drone.commander.lease.holder is None
 
     run_virtual(work())

@@ -16,7 +16,7 @@ from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
 from twodof.link.transport import open_transport, udp
 from twodof.link.transport.memory import memory_pair
 from twodof.link.transport.tcp import TcpTransport
@@ -157,7 +157,7 @@ async def test_a_signed_link_and_an_intruder(tmp_path: Path) -> None:
         # What was recorded on the air and sent again is refused, by whoever sends it.
         intruder.transport.send(got.frame.raw)
         assert await drone.receive(0.05) is None
-        assert (drone.signing.counts.unsigned, drone.signing.counts.repeated) == (1, 1)
+        assert (drone.signing.counts[SigningVerdict.UNSIGNED], drone.signing.counts[SigningVerdict.REPEATED]) == (1, 1)
         old = message("COMMAND_LONG", command=400, param1=1.0)
         intruder.transport.send(bytes(old.pack(dialect.load().MAVLink(None, 255, 190), force_mavlink1=True)))
         assert await drone.receive(0.05) is None

@@ -190,18 +190,14 @@ class DroneSession:
         signing = self.connection.signing
         if signing is not None:
             counts, old = signing.counts, self.connection.framing["mavlink1_refused"]
-            if counts.forged:
-                return f": {counts.forged} frames came, signed with another key", "connect with the drone's own key"
-            if counts.unsigned or old:
-                words = f": {counts.unsigned + old} frames came, unsigned, and key= lets in none such"
+            if forged := counts[SigningVerdict.FORGED]:
+                return f": {forged} frames came, signed with another key", "connect with the drone's own key"
+            if unsigned := counts[SigningVerdict.UNSIGNED] + old:
+                words = f": {unsigned} frames came, unsigned, and key= lets in none such"
                 return words, "give it the key (twodof fcu --key), or connect without key="
-            for number, verdict in (
-                (counts.repeated, SigningVerdict.REPEATED),
-                (counts.stale, SigningVerdict.STALE),
-                (counts.ahead, SigningVerdict.AHEAD),
-            ):
-                if number:
-                    return f": {number} frames came, of the first {verdict.value}", "set both clocks"
+            for verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE, SigningVerdict.AHEAD):
+                if counts[verdict]:
+                    return f": {counts[verdict]} frames came, of the first {verdict.value}", "set both clocks"
         return "", "start it, correct the address or the key, or look with Drone.discover()"
 
     def on(self, handler: Handler, *kinds: str | type) -> None:

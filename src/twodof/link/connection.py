@@ -113,7 +113,8 @@ class Connection:
 
         Raises LinkLost when the link is gone, after all messages that had arrived.
         """
-        end = self._clock_of_loop() + timeout
+        loop = asyncio.get_running_loop()
+        end = loop.time() + timeout
         while True:
             found = self._next_frame()
             if found is not None:
@@ -123,7 +124,7 @@ class Connection:
                 if not self._frames:
                     await asyncio.sleep(0)
                 continue
-            left = end - self._clock_of_loop()
+            left = end - loop.time()
             if left <= 0.0:
                 return None
             if self._tired:
@@ -156,9 +157,6 @@ class Connection:
         token = int(now * 1e9)
         self.statistics.round_trips.asked(token, now)
         self.send(message("TIMESYNC", tc1=0, ts1=token), to)
-
-    def _clock_of_loop(self) -> float:
-        return asyncio.get_running_loop().time()
 
     def _next_frame(self) -> tuple[Frame, Hashable] | None:
         """Return the next frame; None if there is none, or none was found before other tasks must get a turn."""

@@ -23,10 +23,11 @@ import re
 import secrets
 import stat
 import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -185,7 +186,8 @@ class Stamps:
         self.clock = clock
         self.failure = ""
         self._path = None if path is None else Path(path)
-        self._streams: dict[str, int] = {}
+        self.streams: dict[str, int] = {}
+        """Highest stamp accepted of each stream in this run."""
         self._lock = -1 if self._path is None else _lock(self._path)
         try:
             self.floor = 0 if self._path is None else _read(self._path)
@@ -210,19 +212,10 @@ class Stamps:
         self._use(stamp)
         return stamp
 
-    def last(self, stream: str) -> int | None:
-        """Return the highest stamp accepted of a stream in this run, None if the stream is new."""
-        return self._streams.get(stream)
-
     def accept(self, stream: str, stamp: int) -> None:
         """Record that a stream used all stamps up to `stamp`; our time follows it."""
-        self._streams[stream] = stamp
+        self.streams[stream] = stamp
         self._use(max(stamp, self._used))
-
-    @property
-    def full(self) -> bool:
-        """True if MOST_STREAMS are known, so that no new one is accepted."""
-        return len(self._streams) >= MOST_STREAMS
 
     def close(self) -> None:
         """Write the exact stamp and release the file. Raises LinkError if the write fails."""
@@ -322,33 +315,13 @@ class SigningVerdict(Enum):
 
 
 @dataclass(slots=True)
-class SigningCounts:
-    """Numbers of frames by verdict."""
-
-    accepted: int = 0
-    unsigned: int = 0
-    forged: int = 0
-    repeated: int = 0
-    stale: int = 0
-    ahead: int = 0
-
-    @property
-    def refused(self) -> int:
-        """Frames that were not accepted."""
-        return self.unsigned + self.forged + self.repeated + self.stale + self.ahead
-
-
-@dataclass(slots=True)
 class _Outgoing:
     """Signing state in the form that pymavlink's `pack` takes."""
 
-    secret_key: bytes
+    secret_key: bytes = field(repr=False)
     link_id: int
     timestamp: int = 0
     sign_outgoing: bool = True
-
-    def __repr__(self) -> str:
-        return f"signing on link {self.link_id}"
 
 
 class Signing:
@@ -357,11 +330,16 @@ class Signing:
     def __init__(self, key: Key, stamps: Stamps, link_id: int = 0) -> None:
         self.key = key
         self.stamps = stamps
-        self.counts = SigningCounts()
+        self.counts = Counter(dict.fromkeys(SigningVerdict, 0))
         self._outgoing = _Outgoing(key.secret, link_id & 0xFF)
 
     def __repr__(self) -> str:
         return f"Signing({self.key!r}, link {self._outgoing.link_id})"
+
+    @property
+    def refused(self) -> int:
+        """Frames that were not accepted."""
+        return self.counts.total() - self.counts[SigningVerdict.ACCEPTED]
 
     def outgoing(self) -> object:
         """Return the argument with which `framing.encode` signs the next frame."""
@@ -371,8 +349,7 @@ class Signing:
     def check(self, frame: Frame) -> SigningVerdict:
         """Check the signature and the stamp of a received frame; count and return the verdict."""
         verdict = self._judge(frame)
-        name = verdict.name.lower()
-        setattr(self.counts, name, getattr(self.counts, name) + 1)
+        self.counts[verdict] += 1
         return verdict
 
     def _judge(self, frame: Frame) -> SigningVerdict:
@@ -384,10 +361,10 @@ class Signing:
             return SigningVerdict.FORGED
         link, stamp = raw[-SIGNATURE], int.from_bytes(raw[-SIGNATURE + 1 : -SIGNATURE_HASH], "little")
         stream = f"{link}:{frame.system}:{frame.component}"
-        last, own, now = stamps.last(stream), stamps.own, stamps.clock()
+        last, own, now = stamps.streams.get(stream), stamps.own, stamps.clock()
         if stamp <= (stamps.floor if last is None else last):
             return SigningVerdict.REPEATED
-        if last is None and (stamp + NEW_STREAM_BEHIND < own or stamps.full):
+        if last is None and (stamp + NEW_STREAM_BEHIND < own or len(stamps.streams) >= MOST_STREAMS):
             return SigningVerdict.STALE
         if now > UNSET and stamp > max(now + MOST_AHEAD, own + NEW_STREAM_BEHIND):
             return SigningVerdict.AHEAD

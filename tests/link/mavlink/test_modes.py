@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from twodof.errors import LinkError
-from twodof.link.mavlink import modes, setpoints
-from twodof.link.mavlink.framing import Parser, decode, encode
-from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.setpoints import SetPoint
-from twodof.signals import ATTITUDE, POSITION, RATE, VELOCITY
+from twodof.link.mavlink import modes
 
 
 def test_custom_modes_are_those_that_px4_publishes() -> None:
@@ -34,32 +28,3 @@ def test_names_and_numbers_go_both_ways() -> None:
     assert modes.mode_name(4 << 16 | 6 << 24) == "main 4, sub 6"
     with pytest.raises(LinkError, match="offboard"):
         modes.custom_mode("warp")
-
-
-FLOAT = st.floats(-1.0, 1.0, width=32)
-
-
-@given(value=FLOAT, thrust=st.floats(0.0, 1.0, width=32), forward=FLOAT)
-def test_targets_say_what_they_were_made_of(value: float, thrust: float, forward: float) -> None:
-    def sent(one: object) -> object:
-        (frame,) = Parser().feed(encode(one, 250, 190, 0))
-        return decode(frame)
-
-    attitude = setpoints.read_attitude(sent(setpoints.attitude_target(value, thrust)))
-    assert attitude is not None
-    # float32 of the quaternion: 6e-8, over cos(1) at the largest pitch here, times the 2 of the double angle.
-    assert attitude == SetPoint(ATTITUDE, theta0=pytest.approx(value, abs=3e-7), thrust=thrust)
-    rate = setpoints.read_attitude(sent(setpoints.rate_target(value, thrust)))
-    assert rate is not None
-    assert rate == SetPoint(RATE, q0=value, thrust=thrust)
-    alone = setpoints.read_attitude(
-        sent(message("SET_ATTITUDE_TARGET", type_mask=0b10000111, q=[1, 0, 0, 0], thrust=thrust))
-    )
-    assert alone is not None
-    assert alone == SetPoint(None, thrust=thrust)
-    for make, loop, name in ((setpoints.position_target, POSITION, "x0"), (setpoints.velocity_target, VELOCITY, "v0")):
-        plain = setpoints.read_position(sent(make(value)))
-        assert plain == SetPoint(loop, ax0=0.0, **{name: value})
-        assert setpoints.read_position(sent(make(value, forward))) == SetPoint(loop, ax0=forward, **{name: value})
-        again = setpoints.setpoint_message(plain._replace(ax0=None), 0)
-        assert setpoints.read_position(sent(again)) == plain

@@ -75,35 +75,6 @@ def pitch(q: Sequence[float]) -> float:
     return math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x) / square)))
 
 
-def attitude_target(theta: float, thrust: float, **where: int) -> Any:
-    """Return SET_ATTITUDE_TARGET for a pitch [rad]; `where`: time_boot_ms, target_system, target_component."""
-    return message("SET_ATTITUDE_TARGET", type_mask=ALL_RATES, q=quaternion(theta), thrust=thrust, **where)
-
-
-def rate_target(q: float, thrust: float, **where: int) -> Any:
-    """Return SET_ATTITUDE_TARGET for a pitch rate [rad/s]; `where` as in `attitude_target`."""
-    q0 = quaternion(0.0)
-    return message("SET_ATTITUDE_TARGET", type_mask=NO_ATTITUDE, q=q0, thrust=thrust, body_pitch_rate=q, **where)
-
-
-def position_target(x: float, acceleration: float = NAN, **where: int) -> Any:
-    """Return SET_POSITION_TARGET_LOCAL_NED for a position along the rail [m] and a feed-forward [m/s2] unless NaN."""
-    return _along_rail(_VELOCITY, acceleration, x=x, **where)
-
-
-def velocity_target(v: float, acceleration: float = NAN, **where: int) -> Any:
-    """Return SET_POSITION_TARGET_LOCAL_NED for a velocity along the rail [m/s] and a feed-forward [m/s2] unless NaN."""
-    return _along_rail(_POSITION, acceleration, vx=v, **where)
-
-
-def _along_rail(ignored: int, acceleration: float, **fields: Any) -> Any:
-    if math.isnan(acceleration):
-        ignored |= _ACCELERATION
-    else:
-        fields["afx"] = acceleration
-    return message("SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=LOCAL_NED, type_mask=ignored | _YAW, **fields)
-
-
 def read_attitude(received: Any) -> SetPoint | None:
     """Return the set-point in a SET_ATTITUDE_TARGET; None if this drone cannot fly it: rates without a pitch rate.
 
@@ -150,15 +121,15 @@ _MASK_32 = 0xFFFFFFFF  # ticks and milliseconds begin anew where a uint32 does
 def setpoint_message(setpoint: SetPoint, tick: int, **target: int) -> Any:
     """Return the message that carries a set-point with a loop, for `tick` and the addressee `target`."""
     loop, x0, v0, ax0, theta0, q0, thrust, M_open = setpoint
-    power, forward = thrust or 0.0, NAN if ax0 is None else ax0
+    T = thrust or 0.0
     if loop == OPEN_LOOP:
         flags = {"openloop": 1, "enableM": 1, "enableT": int(thrust is not None)}
-        return message("TWODOF_OPENLOOP", tick=tick & _MASK_32, M=M_open or 0.0, T=power, **flags, **target)
+        return message("TWODOF_OPENLOOP", tick=tick & _MASK_32, M=M_open or 0.0, T=T, **flags, **target)
     where = {"time_boot_ms": tick * TICK_MS & _MASK_32, **target}
-    if loop == ATTITUDE:
-        return attitude_target(theta0 or 0.0, power, **where)
-    if loop == RATE:
-        return rate_target(q0 or 0.0, power, **where)
-    if loop == VELOCITY:
-        return velocity_target(v0 or 0.0, forward, **where)
-    return position_target(x0 or 0.0, forward, **where)
+    if loop in (ATTITUDE, RATE):
+        mask = ALL_RATES if loop == ATTITUDE else NO_ATTITUDE
+        turned = {"q": quaternion(theta0 or 0.0), "body_pitch_rate": q0 or 0.0}
+        return message("SET_ATTITUDE_TARGET", type_mask=mask, **turned, thrust=T, **where)
+    mask = (_VELOCITY if loop == POSITION else _POSITION) | (_ACCELERATION if ax0 is None else 0) | _YAW
+    moved = {"x": x0 or 0.0, "vx": v0 or 0.0, "afx": ax0 or 0.0, "coordinate_frame": LOCAL_NED}
+    return message("SET_POSITION_TARGET_LOCAL_NED", type_mask=mask, **moved, **where)

@@ -1,6 +1,5 @@
 """Links within one process: nothing is lost, nothing is late, everything in order; for lockstep and for tests."""
 
-import itertools
 import threading
 from collections.abc import Hashable
 from weakref import WeakValueDictionary
@@ -8,8 +7,6 @@ from weakref import WeakValueDictionary
 from twodof.errors import LinkError
 from twodof.link.transport.base import Packet, Transport
 from twodof.link.transport.url import Address
-
-_numbers = itertools.count(1)
 
 
 class MemoryTransport(Transport):
@@ -24,11 +21,7 @@ class MemoryTransport(Transport):
     def __init__(self, url: str, listens: bool) -> None:
         super().__init__(url)
         self._listens = listens
-        self._number = next(_numbers)
         self._ends: dict[MemoryTransport, None] = {}
-
-    def __repr__(self) -> str:
-        return f"<{self.url} {self._number}>"
 
     @property
     def peers(self) -> tuple[Hashable, ...]:
