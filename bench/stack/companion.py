@@ -68,7 +68,7 @@ def own_share(clients: int, count: int, repeats: int) -> tuple[float, float]:
     line.connect(nowhere)
     router = Router(1, line, lambda: 0.0)
     for number in range(clients):
-        router.add(CompanionClient(f"{number}", nowhere, number, profile("none"), 0.0))
+        router.add(CompanionClient(nowhere, number, profile("none"), 0.0))
         asked = message("COMMAND_LONG", command=511, target_system=1, target_component=1, param1=ATTITUDE, param2=4000)
         for frame in Parser().feed(encode(asked, 200 + number, 1, 0)):
             router.from_client(router.clients[-1], frame)

@@ -3,9 +3,8 @@
 from collections.abc import Hashable
 from typing import Any, cast
 
-from twodof.companion.client import CompanionClient, profile
+from twodof.companion.client import CompanionClient, profile, whole
 from twodof.companion.router import Router
-from twodof.companion.streams import whole
 from twodof.companion.uplink_queue import UplinkQueue
 from twodof.link.mavlink.framing import Frame, Parser, decode, encode
 from twodof.link.mavlink.messages import message
@@ -59,9 +58,7 @@ class Ends:
     def join(self, rates: str = "onboard") -> CompanionClient:
         """One more client."""
         sink = Sink()
-        client = CompanionClient(
-            f"client {len(self.sinks)}", cast(Transport, sink), len(self.sinks), profile(rates), self.now
-        )
+        client = CompanionClient(cast(Transport, sink), len(self.sinks), profile(rates), self.now)
         self.sinks[client] = sink
         self.router.add(client)
         return client

@@ -27,7 +27,6 @@ def test_an_answer_reaches_exactly_those_it_is_addressed_to(
     of_system = {place for place, (system, _) in spoken if system == to[0]}
     expected = exact or of_system  # MAVLink routes by system; where the very component is known, to it alone
     assert {place for place in range(3) if ends.heard(ends.clients[place])} == expected
-    assert ends.router.counts.nobody == (not expected)
 
 
 @given(
@@ -64,7 +63,6 @@ def test_nobody_speaks_in_the_vehicles_name(identity: tuple[int, int]) -> None:
     ends.says(ends.clients[0], "COMMAND_ACK", *identity, target_system=250, target_component=190)
     assert ends.up.sent == []
     assert ends.heard(ends.clients[1]) == []
-    assert ends.router.counts.impostors == 2
 
 
 def test_a_frame_that_echoes_back_does_not_go_round() -> None:
@@ -118,7 +116,6 @@ def test_what_is_not_on_board_says_nothing_as_the_drones_own_system(name: str) -
         ends.says(ends.clients[0], name, SYSTEM, component)
     assert ends.heard(ends.clients[1]) == []
     assert ends.up.sent == []
-    assert ends.router.counts.impostors == 256
     assert not ends.clients[0].identities
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.companion.ends import SYSTEM, Ends, names
 from tests.link.batches import batch
-from twodof.companion.client import EVERY, GROUPS, PROFILES, CompanionClient, profile
+from twodof.companion.client import EVERY, GROUPS, PROFILES, CompanionClient, profile, union
 from twodof.gcs.full_rate import BatchRows
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import PROFILES as VEHICLE_PROFILES
@@ -53,7 +53,7 @@ def test_defaults_are_those_of_the_flight_controller(name: str) -> None:
 
 def test_the_vehicle_is_asked_for_the_union() -> None:
     ends = Ends("ground", "none")
-    assert ends.router.streams.asked[ATTITUDE].interval == round(1e6 / 15)
+    assert ends.router.asked[ATTITUDE].interval == round(1e6 / 15)
     ends.join("onboard")
     assert (ATTITUDE, 10_000.0) in ends.answer()
     ask(ends, ends.clients[1], ATTITUDE, 4000)
@@ -147,7 +147,7 @@ def test_batches_hold_the_samples_of_each_client(wanted: list[tuple[set[int], in
         rows.append((BatchRows(tuple(dict.fromkeys(chosen))), every))
         mask = channel_mask(rows[-1][0].columns)
         ask(ends, client, BATCH, 4000 * every, param3=mask & 0xFFFF, param4=mask >> 16)
-    got = ends.router.streams.union(BATCH)
+    got = union(ends.router.clients, BATCH)
     ends.settle()
     width, every = got.mask.bit_count(), got.interval // 4000
     values = np.arange(40 * width, dtype=np.float32).reshape(40, width)

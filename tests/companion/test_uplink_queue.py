@@ -109,7 +109,6 @@ def test_who_floods_loses_its_own_frames_only(flooders: int) -> None:
     run(line, now, now + 2.0)
     arrived = sum(raw[:1] == b"m" for raw in sink.sent)
     assert arrived == sent  # not one of the modest client's was lost
-    assert line.counts.crowded_out > 10_000
     flood = Counter(len(raw) for raw in sink.sent)[200] * 200
     assert flood > 0.15 * RATE * 5.0  # what nobody else wants they may have
 
@@ -156,18 +155,15 @@ def test_what_is_too_old_is_not_sent() -> None:
     line.offer("a", b"new", 10.0 + STALE_S + 0.1)
     run(line, 10.0 + STALE_S + 0.1, 13.0)
     assert sink.sent[before:] == [b"new"]
-    assert line.counts.stale == 200 - before
 
 
 def test_a_cut_throws_away_what_waits() -> None:
-    line, sink = made()
+    line, _ = made()
     for _ in range(50):
         line.offer("a", bytes(200), 10.0)
     line.offer("a", b"kill", 10.0, urgent=(400, True))
-    waiting = 51 - len(sink.sent)
     line.cut()
     assert not line.waiting
-    assert line.counts.cut == waiting
     assert not line.offer("a", b"while cut", 10.5)
     again = Sink()
     line.connect(cast(Transport, again))

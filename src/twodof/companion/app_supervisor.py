@@ -9,7 +9,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from io import FileIO
@@ -62,17 +62,14 @@ class AppSupervisor:
         log: Callable[[str], None],
         limits: AppLimits = AppLimits(),
         restarts: RestartPolicy = RestartPolicy(),
-        environment: Mapping[str, str] | None = None,
         stop_s: float = 5.0,
         killed: Callable[[], bool] = lambda: False,
     ) -> None:
         self.command = tuple(command)
         self.starts = 0
-        self.lines_left_out = 0
         self._log = log
         self._limits = limits
         self._restarts = restarts
-        self._environment = environment
         self._stop_s = stop_s
         self._killed = killed
         self._room, self._room_at, self._left_out = MOST_LINES, 0.0, 0
@@ -141,7 +138,6 @@ class AppSupervisor:
                 stdout=writer,
                 stderr=asyncio.subprocess.STDOUT,
                 start_new_session=True,
-                env=None if self._environment is None else dict(self._environment),
             )
         except BaseException:
             said.close()
@@ -189,7 +185,6 @@ class AppSupervisor:
         self._room_at = now
         if self._room < 1.0:
             self._left_out += 1
-            self.lines_left_out += 1
             return
         self._room -= 1.0
         self._tell_left_out()

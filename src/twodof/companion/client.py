@@ -1,17 +1,20 @@
 """A client of the companion: its address, its identities, and the messages that it wants."""
 
-from collections.abc import Hashable, Mapping
+import math
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, reduce
+from operator import or_
 from types import MappingProxyType
 
-from twodof.companion.frame_fields import renumbered, time_us
+from twodof.companion.frame_fields import BATCH, CommandFields, renumbered, time_us
 from twodof.errors import LinkError, LinkLost, listed, shown
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID, RATES
 from twodof.link.mavlink.dialect import PROFILES as VEHICLE_PROFILES
 from twodof.link.mavlink.framing import Frame
 from twodof.link.transport.base import Transport
+from twodof.signals import TICK_US
 
 Identity = tuple[int, int]
 """A MAVLink system and component."""
@@ -23,6 +26,11 @@ SILENT_S = 30.0
 """A client that is silent for so long counts as gone; a ground station sends a heartbeat each second."""
 EVERY, OFF = 0, -1
 """Intervals: each message as it comes, and no message."""
+
+LONGEST_US = 2**31 - 1
+MOST_EVERY = 255
+# Sent to clients that asked for them only.
+_ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH")
 
 PROFILES = (*VEHICLE_PROFILES, "none")
 # Sent at each change too, which thinning would hold back.
@@ -52,6 +60,23 @@ def profile(name: str) -> Mapping[int, int]:
     return dict.fromkeys(map(dialect.message_id, _OWN), EVERY) | timed
 
 
+@cache
+def timed() -> frozenset[int]:
+    """Return the messages whose interval is sent to the vehicle even if no client wants one.
+
+    These are the messages with a rate, and TWODOF_TOF, which comes so often that it should not cross the line unused.
+    """
+    timed = {number for name in PROFILES for number, interval in profile(name).items() if interval > EVERY}
+    return frozenset(timed | {dialect.message_id("TWODOF_TOF")})
+
+
+@cache
+def streamed() -> frozenset[int]:
+    """Return the messages that only go to clients that want them; all others go to every client."""
+    unasked = {number for name in PROFILES for number in profile(name)}
+    return frozenset(unasked | {dialect.message_id(name) for name in _ON_REQUEST})
+
+
 def group(number: int) -> tuple[int, ...] | None:
     """Return the message ids of group `number` of REQUEST_DATA_STREAM; None for group 0, which is all messages."""
     return None if number == 0 else tuple(map(dialect.message_id, GROUPS.get(number, ())))
@@ -79,7 +104,6 @@ class CompanionClient:
     which gets messages even if it never sends any.
     """
 
-    name: str
     transport: Transport
     peer: Hashable
     defaults: Mapping[int, int]
@@ -94,14 +118,6 @@ class CompanionClient:
     """Whether it has shown that it knows twodof's own messages; to other clients they would count as losses."""
     _slots: dict[int, int] = field(default_factory=dict)
     _sequences: dict[Identity, int] = field(default_factory=dict)
-
-    def __repr__(self) -> str:
-        return f"<client {self.name}>"
-
-    def add_identity(self, identity: Identity) -> None:
-        """Remember an identity of the client, up to `MOST_IDENTITIES`."""
-        if len(self.identities) < MOST_IDENTITIES:
-            self.identities.add(identity)
 
     def forget(self) -> None:
         """Forget a client that fell silent; the next one at this address may be another."""
@@ -168,3 +184,33 @@ class CompanionClient:
             self.transport.send(raw, self.peer)
         except LinkLost:
             pass
+
+
+def union(clients: Sequence[CompanionClient], number: int) -> StreamRequest:
+    """Return the request that serves all clients: the shortest interval, and of a batch all channels."""
+    if number == BATCH:
+        asked = (client.requests.get(BATCH) for client in clients)
+        requests = [request for request in asked if request is not None and request.interval > EVERY]
+        mask = reduce(or_, (request.mask for request in requests), 0)
+        every = math.gcd(*(min(max(round(request.interval / TICK_US), 1), MOST_EVERY) for request in requests))
+        return StreamRequest(every * TICK_US, mask) if mask else StreamRequest(OFF)
+    intervals = [client.interval(number) for client in clients]
+    timed_ones = [one for one in intervals if one > EVERY]
+    return StreamRequest(min(timed_ones, default=EVERY if EVERY in intervals else OFF))
+
+
+def stream_request(number: int, asked: CommandFields) -> StreamRequest | None:
+    """Return the request in command 511; None for a return to the default, or for numbers that make no sense."""
+    interval = asked.params[1]
+    if not math.isfinite(interval) or (interval == 0.0 and number != BATCH):
+        return None
+    every = round(min(max(interval, -1.0), LONGEST_US))
+    if number != BATCH or every == OFF:
+        return StreamRequest(every)
+    mask = max(whole(asked.params[2]), 0) & 0xFFFF | (max(whole(asked.params[3]), 0) & 0xFFFF) << 16
+    return StreamRequest(every or TICK_US, mask)
+
+
+def whole(value: float) -> int:
+    """Return a parameter of a command as an integer, -1 if it is not finite or too large."""
+    return round(value) if math.isfinite(value) and abs(value) < 2**31 else -1

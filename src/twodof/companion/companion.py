@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Self
 
-from twodof.companion.client import CompanionClient
 from twodof.companion.component import CompanionComponent, ComputerStatus, Traffic
 from twodof.companion.links import ClientLink, VehicleLink
 from twodof.companion.links import Serve as Serve
@@ -97,19 +96,9 @@ class Companion:
         return [port.address for port in self.ports]
 
     @property
-    def clients(self) -> list[CompanionClient]:
-        """The connected clients."""
-        return [*self.router.clients]
-
-    @property
     def killed(self) -> bool:
         """True while the drone is killed, as it reports."""
         return self.router.killed
-
-    @property
-    def lost(self) -> int:
-        """Number of times that the link to the flight controller was lost."""
-        return self._vehicle.lost
 
     async def _look(self) -> None:
         """Let all links act on the clock."""
@@ -127,5 +116,5 @@ class Companion:
 
     def _traffic(self) -> list[Traffic]:
         """Return the traffic of the line, then of the client links."""
-        rows = [Traffic(self.line.counts.bytes, self._vehicle.bytes_in, self.line.rate or 0.0)]
+        rows = [Traffic(self.line.sent_bytes, self._vehicle.bytes_in, self.line.rate or 0.0)]
         return rows + [Traffic(port.transport.counts.bytes_out, port.transport.counts.bytes_in) for port in self.ports]

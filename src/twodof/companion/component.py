@@ -33,17 +33,15 @@ class Traffic(NamedTuple):
 
 
 class ComputerStatus:
-    """State of this computer, read from /proc (`root`); rates are those since the last call. `clock` gives seconds."""
+    """State of this computer, read from /proc; rates are those since the last call. `clock` gives seconds."""
 
     def __init__(
         self,
         links: Callable[[], Sequence[Traffic]] = tuple,
         clock: Callable[[], float] = time.monotonic,
-        root: Path = Path("/proc"),
     ) -> None:
         self._links = links
         self._clock = clock
-        self._root = root
         self._started = self._last = clock()
         self._busy: list[tuple[int, int]] = []
         self._traffic: list[Traffic] = []
@@ -105,7 +103,7 @@ class ComputerStatus:
 
     def _lines(self, name: str) -> list[str]:
         try:
-            with (self._root / name).open("rb") as file:
+            with Path("/proc", name).open("rb") as file:
                 return file.read(65_536).decode("ascii", "replace").splitlines()
         except OSError:  # no /proc: another system
             return []

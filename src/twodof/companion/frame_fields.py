@@ -4,8 +4,10 @@ A frame then passes in microseconds. The offsets of fields come from the dialect
 payload, so a field beyond the end is zero.
 """
 
+import re
 import struct
 from functools import cache
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 from fastcrc import crc16
@@ -21,7 +23,6 @@ FORCE = 21196.0  # param2 of a disarm that is meant in flight too
 GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
 # Fields with the sender's time, and the microseconds of their unit.
 _TIMES = {"time_boot_ms": 1000, "time_usec": 1}
-_SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "float": 4}
 _COMMAND = struct.Struct("<7fHBB")
 
 
@@ -51,16 +52,14 @@ def places() -> dict[int, FieldOffsets]:
 
 
 def _places(kind: Any) -> FieldOffsets:
-    types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
-    at, starts = 0, {}  # start of each field
-    for name, count in zip(kind.ordered_fieldnames, kind.lengths, strict=True):
-        starts[name] = at
-        at += _SIZES.get(types[name], 8) * count
+    codes = re.findall(r"\d*[a-zA-Z]", kind.unpacker.format)
+    ends = [*accumulate(struct.calcsize(f"<{code}") for code in codes)]
+    starts: dict[str, int] = dict(zip(kind.ordered_fieldnames, [0, *ends], strict=False))
     time = next((name for name in _TIMES if name in starts), None)
     return FieldOffsets(
         starts.get("target_system", starts.get("target", -1)),
         starts.get("target_component", -1),
-        *(() if time is None else (starts[time], starts[time] + _SIZES.get(types[time], 8), _TIMES[time])),
+        *(() if time is None else (starts[time], ends[kind.ordered_fieldnames.index(time)], _TIMES[time])),
     )
 
 

@@ -116,8 +116,6 @@ class VehicleLink(CompanionLink):
         self, url: str, router: Router, component: CompanionComponent, tell: Callable[[str], None] | None
     ) -> None:
         super().__init__(url, router, component)
-        self.lost = 0
-        """Number of times that the link was lost."""
         self.bytes_in = 0
         self._tell = tell or (lambda text: None)
         self._parser = self.new_parser()
@@ -144,7 +142,6 @@ class VehicleLink(CompanionLink):
             self._opened = self.router.clock()
             reason = await self.read()
             self.router.line.cut()
-            self.lost += 1
             self._set_there(False, f"flight controller lost: {reason.what}")
             await self.back_off(stood=self.router.clock() - self._opened > LONGEST_BACK_OFF_S)
 
@@ -170,7 +167,7 @@ class VehicleLink(CompanionLink):
                 self._set_there(False, f"flight controller silent for {VEHICLE_SILENT_S:g} s")
             if not self._there and now - max(self._opened, self._last_frame) > VEHICLE_SILENT_S:
                 what, remedy = "the link stands, and no heartbeat comes", "see that it runs, and at this baud rate"
-                if self.router.signing is not None and self.router.signing.counts.refused:
+                if self.router.signing is not None and self.router.signing.refused:
                     remedy += ", and with this key"
                 self._complain(LinkError(what, self.url, f"{remedy} or address"))
         self.pump()
@@ -313,8 +310,7 @@ class ClientLink(CompanionLink):
             if not leaving:
                 return None
             self._dismiss(min(leaving, key=lambda one: one.heard))
-        name = f"{self.transport.url} {peer}"
-        client = CompanionClient(name, self.transport, peer, self._rates, now, stays, self._serve.on_board)
+        client = CompanionClient(self.transport, peer, self._rates, now, stays, self._serve.on_board)
         self.clients[peer] = client
         self.router.add(client)
         return client

@@ -9,9 +9,23 @@ from math import inf
 from typing import Any
 
 from twodof.companion import frame_fields
-from twodof.companion.client import SILENT_S, CompanionClient, Identity, StreamRequest, group, is_ours
+from twodof.companion.client import (
+    EVERY,
+    MOST_IDENTITIES,
+    OFF,
+    SILENT_S,
+    CompanionClient,
+    Identity,
+    StreamRequest,
+    group,
+    is_ours,
+    stream_request,
+    streamed,
+    timed,
+    union,
+    whole,
+)
 from twodof.companion.frame_fields import CommandFields
-from twodof.companion.streams import Streams, stream_request, whole
 from twodof.companion.uplink_queue import UplinkQueue
 from twodof.link.mavlink.dialect import AUTOPILOT, COMPANION, MavResult
 from twodof.link.mavlink.framing import Frame, decode, encode
@@ -27,16 +41,6 @@ MOST_PASSED, MOST_ROUNDS, ROUND_S = 256, 2, 0.5
 _STRANGERS = "strangers"  # the queue of senders without a place among the clients
 _HALF = 128  # of the range of a sequence number: more than that ahead is behind
 _ABOUT_MESSAGES = (frame_fields.SET_MESSAGE_INTERVAL, frame_fields.GET_MESSAGE_INTERVAL, frame_fields.REQUEST_MESSAGE)
-
-
-@dataclass(slots=True)
-class RouterCounts:
-    """Number of frames from the vehicle, and of frames without a receiver, with a false sender, or going in circles."""
-
-    from_vehicle: int = 0
-    nobody: int = 0
-    impostors: int = 0
-    echoes: int = 0
 
 
 @dataclass(slots=True)
@@ -62,8 +66,10 @@ class Router:
         self.line = line
         self.clock = clock
         self.signing = signing
-        self.streams = Streams()
-        self.counts = RouterCounts()
+        self.clients: list[CompanionClient] = []
+        """The connected clients."""
+        self.asked: dict[int, StreamRequest] = {}
+        """The request for each message that was last sent to the vehicle, by message id."""
         self.own: Callable[[Frame, CompanionClient | None], None] = lambda frame, client: None
         self.killed = False
         """Whether the vehicle said that it was killed, and not yet that it was released."""
@@ -74,11 +80,6 @@ class Router:
         self._passed: dict[bytes, tuple[CompanionClient, float, int]] = {}
         self._sequence = 0
         self._start = 0  # number of the start of the vehicle's program
-
-    @property
-    def clients(self) -> list[CompanionClient]:
-        """The connected clients."""
-        return self.streams.clients
 
     def add(self, client: CompanionClient) -> None:
         """Add a client and have the vehicle stream what it wants."""
@@ -97,13 +98,32 @@ class Router:
 
     def started(self) -> None:
         """Request all streams anew from a vehicle that has reconnected or restarted."""
-        self.streams.asked.clear()
+        self.asked.clear()
         self.refresh()
 
     def refresh(self) -> None:
         """Request the streams that have changed from the vehicle."""
-        for number, request in self.streams.changes():
-            self._to_vehicle(message("COMMAND_LONG", **self._interval_fields(number, request)))
+        before = dict(self.asked)
+        for number in sorted(timed().union(before, *(client.requests for client in self.clients))):
+            request = self._announce(number)
+            if request != before.get(number):
+                self._to_vehicle(message("COMMAND_LONG", **self._interval_fields(number, request)))
+
+    def _announce(self, number: int) -> StreamRequest:
+        """Return the union of requests for a message and count it as sent; forget an unused message."""
+        request = union(self.clients, number)
+        self.asked[number] = request
+        if request.interval == OFF and number not in timed():
+            del self.asked[number]
+        return request
+
+    def receivers(self, frame: Frame) -> Sequence[CompanionClient]:
+        """Return the clients that get a message of the vehicle without an addressee."""
+        number = frame.message_id
+        default = OFF if number in streamed() else EVERY
+        asked = self.asked.get(number)
+        interval = OFF if asked is None else asked.interval
+        return [client for client in self.clients if client.wants(frame, interval, default)]
 
     def behind(self, system: int, component: int) -> list[CompanionClient]:
         """Return the clients with this system and component or, if none has it, with this system.
@@ -119,11 +139,9 @@ class Router:
         """Route a frame that a client sent."""
         now = self.clock()
         if not self._may_say(frame, client.on_board):
-            self.counts.impostors += 1
             return
         self._meet(client, (frame.system, frame.component), now)
         if self._came_round(client, frame, now):
-            self.counts.echoes += 1
             return
         system, component = frame_fields.target(frame)
         asked = frame_fields.command(frame)
@@ -162,13 +180,11 @@ class Router:
 
     def from_vehicle(self, frame: Frame) -> None:
         """Route a frame that came over the line."""
-        self.counts.from_vehicle += 1
         system, component = frame_fields.target(frame)
         identity = (frame.system, frame.component)
         autopilot = identity == (self.system, AUTOPILOT)
         of_client = not system and any(identity in client.identities for client in self.clients)
         if identity == (self.system, COMPANION) or (of_client and not autopilot):
-            self.counts.echoes += 1
             return
         self._account(frame, identity)
         if autopilot and frame.message_id in (frame_fields.HEARTBEAT, frame_fields.LEASE, frame_fields.RIG):
@@ -179,10 +195,8 @@ class Router:
                 if component:
                     return
             receivers: Sequence[CompanionClient] = self.behind(system, component)
-            if not receivers:
-                self.counts.nobody += 1
         else:
-            receivers = self.streams.receivers(frame)
+            receivers = self.receivers(frame)
         for client in receivers:
             self._deliver(client, frame)
 
@@ -209,7 +223,8 @@ class Router:
         client.heard = now
         if identity in client.identities:
             return
-        client.add_identity(identity)
+        if len(client.identities) < MOST_IDENTITIES:
+            client.identities.add(identity)
         for before in self.clients:
             moved = before is not client and before.transport is client.transport and identity in before.identities
             if moved and now - before.heard < SILENT_S:
@@ -264,11 +279,11 @@ class Router:
             client.due_once.add(number)
         if not sets:
             return frame.raw
-        union = self.streams.announce(number)
-        if union == request or (frame.signed and self.signing is None):
+        shared = self._announce(number)
+        if shared == request or (frame.signed and self.signing is None):
             return frame.raw
         sent: Any = decode(frame)
-        for name, value in self._interval_fields(number, union).items():
+        for name, value in self._interval_fields(number, shared).items():
             if name.startswith("param"):
                 setattr(sent, name, value)
         return self.encoded(sent, frame.component, frame.sequence, frame.system)

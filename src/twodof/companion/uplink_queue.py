@@ -28,17 +28,6 @@ NETWORK_FRAME = 40
 
 
 @dataclass(slots=True)
-class UplinkCounts:
-    """Frames and bytes that went out, and frames that did not: queue full, too old, or no link."""
-
-    sent: int = 0
-    bytes: int = 0
-    crowded_out: int = 0
-    stale: int = 0
-    cut: int = 0
-
-
-@dataclass(slots=True)
 class _Queue:
     """Waiting frames of a client with their deadlines, their bytes, and the bytes that were sent of it."""
 
@@ -54,7 +43,7 @@ class UplinkQueue:
     """
 
     def __init__(self, rate: float | None = None, overhead: int = 0) -> None:
-        self.counts = UplinkCounts()
+        self.sent_bytes = 0
         self.transport: Transport | None = None
         self.rate = rate
         self.overhead = overhead
@@ -71,7 +60,6 @@ class UplinkQueue:
     def cut(self) -> None:
         """Drop everything that waits: a command of before the cut must not act after it."""
         self.transport = None
-        self.counts.cut += len(self._urgent) + sum(len(queue.frames) for queue in self._queues.values())
         self._urgent.clear()
         self._queues.clear()
 
@@ -89,7 +77,6 @@ class UplinkQueue:
         second frame of the same source with the same key is ignored.
         """
         if self.transport is None:
-            self.counts.cut += 1
             return False
         if urgent is not None:
             self._urgent.setdefault((source, urgent), raw)
@@ -99,7 +86,6 @@ class UplinkQueue:
             return self._send(raw, now)
         queue = self._queues.setdefault(source, _Queue(self._level))
         if queue.size + len(raw) > MOST_QUEUED_BYTES:
-            self.counts.crowded_out += 1
             return False
         queue.frames.append((now + stale_s, raw))
         queue.size += len(raw)
@@ -117,9 +103,7 @@ class UplinkQueue:
             queue.size -= len(raw)
             if not queue.frames:
                 del self._queues[source]
-            if now > deadline:
-                self.counts.stale += 1
-            else:
+            if now <= deadline:
                 self._level = queue.served = queue.served + len(raw)
                 self._send(raw, now)
         if not self.waiting:
@@ -137,10 +121,8 @@ class UplinkQueue:
         try:
             self.transport.send(raw)
         except LinkLost:  # the reader of the link notices it too
-            self.counts.cut += 1
             return False
         if self.rate is not None:
             self._free_at = max(self._free_at, now) + (len(raw) + self.overhead) / self.rate
-        self.counts.sent += 1
-        self.counts.bytes += len(raw)
+        self.sent_bytes += len(raw)
         return True
