@@ -82,7 +82,7 @@ def test_a_flight_in_which_a_number_runs_over_is_the_same_flight(moment: str, tm
     drone, judge = flight(begin, tmp_path / "late"), flight(early, tmp_path / "early")
     log = drone.drone.assembly.log
     assert log is not None
-    assert (log.dropped, log.missed) == (0, 0)
+    assert (log.dropped, log.failure) == (0, None)
     assert [step.tick - begin for step in drone.steps] == [step.tick - early for step in judge.steps]
     assert [step.asked for step in drone.steps] == [step.asked for step in judge.steps]
     assert [(step.fore, step.aft) for step in drone.steps] == [(step.fore, step.aft) for step in judge.steps]

@@ -68,7 +68,6 @@ class Server:
         self.signing = signing
         self.services: list[Service] = []
         self.connections: list[Connection] = []
-        self.ignored = 0
         self._dropped = 0
         self._tasks: set[asyncio.Task[None]] = set()
         self._failed: asyncio.Event = asyncio.Event()
@@ -224,7 +223,6 @@ class Server:
         peer = Peer(connection, received.peer)
         if connection.transport.stranger(received.peer):  # to welcome thousands of them would keep it from flying
             if not looks_like_a_stop(received.frame.raw):
-                self.ignored += 1
                 return
         else:
             self._peers[peer] = received.frame.system, received.frame.component
@@ -232,8 +230,6 @@ class Server:
         for service in self.services:
             if service.handle(received):
                 break
-        else:
-            self.ignored += 1
         if self.controller.lockstep and self.controller.granted > self.controller.tick:
             # What this link says after a grant belongs to the ticks after those that it grants.
             await self._run_granted()

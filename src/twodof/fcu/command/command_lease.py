@@ -164,17 +164,18 @@ class CommandLease:
             self._until = max(self._until, self._vehicle.now + COMMANDING)
         return result
 
-    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
+    def may_tune(self, source: Source) -> CommandResult:
         """Allow `source` to change parameters, unless another client withholds tuning.
 
         This does not take the lease, but renews it for its holder.
         """
         if not source[0]:
-            return denied(f"{what} refused: the sender's MAVLink system is 0")
+            return denied("parameters refused: the sender's MAVLink system is 0")
         if self.holder == source:
-            return self.take(source, what)
+            return self.take(source, "parameters")
         if self.tuning_withheld:
-            return rejected(f"{what} refused: {self._who()} holds the lease and withholds tuning", RefusalReason.LEASE)
+            why = f"parameters refused: {self._who()} holds the lease and withholds tuning"
+            return rejected(why, RefusalReason.LEASE)
         return DONE
 
     def tuned(self, source: Source, what: str) -> None:

@@ -150,7 +150,7 @@ class Watchdog:
     """Watchdog thread that calls `stop` when no `beat` came for `LOOKS` looks, `LOOK_S` apart: .1 s.
 
     It counts looks instead of time: if the whole machine stands still, so does its thread. It begins with the first
-    beat. `trips` counts the stops.
+    beat.
 
     With `patient` a look counts only by the share of time in which the loop ran or waited. A loop without a processor
     does not hang, and does a virtual rig no harm, since the rig's time is that of the loop.
@@ -159,7 +159,6 @@ class Watchdog:
     """
 
     def __init__(self, stop: Callable[[], None], look_s: float = LOOK_S, patient: bool = False) -> None:
-        self.trips = 0
         self._stop = stop
         self._look_s = look_s
         self._patient = patient
@@ -186,7 +185,6 @@ class Watchdog:
         self._silent += own
         if self._silent > _HANGS and not self._tripped:
             self._tripped = True
-            self.trips += 1
             self._stop()
 
     def close(self) -> None:

@@ -125,18 +125,16 @@ class LogWriter:
     """Writer of rows of steps into the logs of `folder`, as SDLOG_MODE says; called from one thread.
 
     Each log begins with the facts given to `describe` and with all parameters. `failure` is the reason why the last log
-    ended early or did not begin; `missed` counts rows that were to be logged and are in no log.
+    ended early or did not begin.
     """
 
     def __init__(self, folder: LogFolder, parameters: Mapping[str, float]) -> None:
         self.folder = folder
         self.failure: TwodofError | None = None
-        self.missed = 0
         self._requested = False
         self._info: Mapping[str, str | int] = {}
         self._parameters = dict(parameters)
         self._writer: ULogWriter | None = None
-        self._handed: deque[tuple[int, int]] = deque()  # records accepted so far, and the steps among the last of them
         self._before: Rows | None = None
         self._lines: deque[tuple[str, int, str]] = deque(maxlen=LINES)
         self._steps, self._most_steps = 0, 1 << 62  # in this log
@@ -185,9 +183,8 @@ class LogWriter:
         changed = {name: value for name, value in values.items() if before.get(name) != value}
         self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in changed.items()])
 
-    def dropped(self, count: int, lost_ms: int) -> None:
-        """Log that `count` rows are missing, over `lost_ms` [ms]."""
-        self.missed += count
+    def dropped(self, lost_ms: int) -> None:
+        """Log that rows are missing, over `lost_ms` [ms]."""
         self._guarded(lambda writer: writer.dropout(lost_ms, self._stamp_us))
 
     def flush(self, deadline_s: float) -> None:
@@ -202,9 +199,6 @@ class LogWriter:
                 writer.close()
             except LogError as refusal:
                 self.failure = refusal
-            self._forget(writer)
-            self.missed += sum(steps for _, steps in self._handed)
-            self._handed.clear()
             self._steps, self._most_steps = 0, 1 << 62
 
     def _restart(self) -> None:
@@ -255,8 +249,8 @@ class LogWriter:
             self._log(rows[:room])
             self.end()
             self._log(rows[room:])
-        elif not self._append(rows):
-            self.missed += len(rows)
+        else:
+            self._append(rows)
 
     def _begin(self, rows: Rows) -> None:
         """Open a log with the rows and lines shortly before `rows`."""
@@ -282,7 +276,7 @@ class LogWriter:
             self._append(before)
         self._guarded(lambda writer: [writer.text(*line) for line in lines])
 
-    def _append(self, rows: Rows) -> bool:
+    def _append(self, rows: Rows) -> None:
         self._stamp_us = int(rows["timestamp"][-1])
 
         def append(writer: ULogWriter) -> None:
@@ -291,26 +285,16 @@ class LogWriter:
             # Last, as what is said next stands at the time of the record before it.
             writer.write_many(STEP_TOPIC, rows)
             self._steps += len(rows)
-            self._handed.append((writer.accepted, len(rows)))
-            self._forget(writer)
 
-        return self._guarded(append)
+        self._guarded(append)
 
-    def _forget(self, writer: ULogWriter) -> None:
-        """Forget rows that are on the disk."""
-        while self._handed and self._handed[0][0] <= writer.acknowledged.samples:
-            self._handed.popleft()
-
-    def _guarded(self, action: Callable[[ULogWriter], object]) -> bool:
-        """Act on the log being written; return False if there is none, or the disk refused."""
-        if self._writer is None:
-            return False
+    def _guarded(self, action: Callable[[ULogWriter], object]) -> None:
+        """Act on the log being written, if there is one; note that the disk has refused."""
         try:
-            action(self._writer)
+            if self._writer is not None:
+                action(self._writer)
         except LogError as refusal:
             self._failed(refusal)
-            return False
-        return True
 
     def _failed(self, refusal: LogError) -> None:
         self.end()

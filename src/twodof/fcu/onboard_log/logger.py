@@ -60,7 +60,7 @@ class OnboardLogger:
         self._writer = LogWriter(self.folder, {row.name: store[row.name] for row in store.rows})
         self._queue: deque[bytes | Note] = deque()
         self._tick, self._armed = -1, False
-        self._gap = (0, 0)  # rows dropped since the last one taken, tick of the first
+        self._gap: int | None = None  # tick of the first row that was dropped since the last one taken
         self._wake, self._room = threading.Event(), threading.Event()
         self._closed = self._ended = False
         self._thread = threading.Thread(target=self._serve, name="on-board log", daemon=True)
@@ -74,11 +74,6 @@ class OnboardLogger:
         if not self._thread.is_alive() and not self._closed:
             return LogError("the logger's thread ended by a fault of its own", str(self.folder.path), "report it")
         return self._writer.failure
-
-    @property
-    def missed(self) -> int:
-        """Return the number of rows that are in no log: refused by the disk, or dropped."""
-        return self._writer.missed
 
     @property
     def path(self) -> Path | None:
@@ -99,10 +94,9 @@ class OnboardLogger:
         except struct.error:  # a number that is out of its range, which no step has
             self._drop(step.tick)
             return
-        if self._gap[0]:
-            count, since = self._gap
-            queue.append(partial(LogWriter.dropped, count=count, lost_ms=(step.tick - since) * TICK_US // 1000))
-            self._gap = (0, 0)
+        if self._gap is not None:
+            queue.append(partial(LogWriter.dropped, lost_ms=(step.tick - self._gap) * TICK_US // 1000))
+            self._gap = None
         queue.append(row)
 
     def note(self, level: str, line: str) -> None:
@@ -172,8 +166,7 @@ class OnboardLogger:
 
     def _drop(self, tick: int) -> None:
         self.dropped += 1
-        count, since = self._gap
-        self._gap = (count + 1, since if count else tick)
+        self._gap = tick if self._gap is None else self._gap
 
     def _waited(self) -> bool:
         """Wait for room in lockstep; return whether there is some."""
