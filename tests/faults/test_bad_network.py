@@ -18,7 +18,7 @@ from twodof.flightlog.ulog_file import scan_ulog
 from twodof.gcs import full_rate
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.mavlink.framing import Parser, decode
-from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
 from twodof.link.transport import open_transport
 
 pytestmark = pytest.mark.slow
@@ -117,17 +117,17 @@ async def test_replayed_signed_packets_do_nothing_and_are_counted(tmp_path: Path
         for data in before:
             intruder.send(data)
         await drone.run(0.5)
-        assert signing.counts.repeated == len(before)
+        assert signing.counts[SigningVerdict.REPEATED] == len(before)
         assert silent(whole.since(begin))
         assert {step.asked.theta0 for step in whole.since(begin)} == {whole.steps[-1].step.asked.theta0}
         await drone.close()
         commands = {decode(frame).get_type() for data in sent for frame in Parser().feed(data, whole=True)}
         assert {"COMMAND_LONG", "SET_ATTITUDE_TARGET", "TWODOF_LEASE"} <= commands
-        accepted, lease = signing.counts.accepted, whole.drone.commander.lease
+        accepted, lease = signing.counts[SigningVerdict.ACCEPTED], whole.drone.commander.lease
         for data in sent:
             intruder.send(data)
         await whole.passes(1.0)
-        assert signing.counts.accepted == accepted
+        assert signing.counts[SigningVerdict.ACCEPTED] == accepted
         assert whole.drone.commander.lease == lease
         assert not any(step.armed for step in whole.since(whole.tick - 250))
     restarted = Signing(key, Stamps(stamps))
@@ -136,7 +136,7 @@ async def test_replayed_signed_packets_do_nothing_and_are_counted(tmp_path: Path
         for data in sent:
             intruder.send(data)
         await whole.passes(1.0)
-        assert restarted.counts.accepted == 0
-        assert restarted.counts.repeated == len(sent)
+        assert restarted.counts[SigningVerdict.ACCEPTED] == 0
+        assert restarted.counts[SigningVerdict.REPEATED] == len(sent)
         assert whole.drone.commander.lease.holder is None
         assert not any(step.armed for step in whole.since(0))

@@ -13,7 +13,7 @@ from tests.faults.whole import DESCEND, LEVEL, Whole, acts, silent, stands, tell
 from twodof.errors import LinkLost
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
-from twodof.link.signing import PER_SECOND, Key, Signing, Stamps
+from twodof.link.signing import PER_SECOND, Key, Signing, SigningVerdict, Stamps
 
 pytestmark = pytest.mark.slow
 
@@ -75,7 +75,11 @@ async def test_the_drones_clock_is_set_in_flight(jump: float, tmp_path: Path, mo
         await drone.run(1.0)
         assert silent(whole.since(first))
         assert whole.steps[-1].step.theta0 == pytest.approx(-0.1)
-        assert (signing.counts.repeated, signing.counts.stale, signing.counts.ahead) == (0, 0, 0)
+        assert (
+            signing.counts[SigningVerdict.REPEATED],
+            signing.counts[SigningVerdict.STALE],
+            signing.counts[SigningVerdict.AHEAD],
+        ) == (0, 0, 0)
         await drone.kill()
         assert stands(whole.steps[-1])
         await drone.disarm()
@@ -122,7 +126,7 @@ async def test_a_client_with_a_clock_a_year_ahead_is_refused() -> None:
         tell("a client's clock ahead by over a year", "level", whole.ms(first, acts(LEVEL)), 1000)
         tell("a client's clock ahead by over a year", "down", whole.ms(first, acts(DESCEND)), 4000)
         tell("a client's clock ahead by over a year", "motors off", whole.ms(first, stands), 5000)
-        assert signing.counts.ahead > 10
+        assert signing.counts[SigningVerdict.AHEAD] > 10
         ours.offset = 0.0
         other = await signed(whole, key, ours, 251)  # another's stamps are a clock's
         await other.disarm()

@@ -15,7 +15,7 @@ from tests.faults.virtual_time import on_virtual_time
 from tests.faults.whole import Whole, silent, stands
 from twodof.errors import LogError, ParameterError, RecordingError
 from twodof.flightlog.recovery import recover
-from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
 
 pytestmark = pytest.mark.slow
 
@@ -86,7 +86,7 @@ async def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_
         said = " ".join(text.text for text in drone.messages)
         assert "no on-board log" in said
         assert "parameters are not stored" in said
-        assert (signing.counts.repeated, signing.counts.stale) == (0, 0)
+        assert (signing.counts[SigningVerdict.REPEATED], signing.counts[SigningVerdict.STALE]) == (0, 0)
         await drone.run(0.5)  # there is room again
         await drone.arm()
         await drone.set_pitch(0.1, thrust=0.4)

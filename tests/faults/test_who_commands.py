@@ -13,7 +13,7 @@ from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.setpoints import setpoint
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
 from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
 
@@ -99,7 +99,7 @@ async def test_a_command_that_is_not_signed_is_refused_and_counted(companion_has
 
         def refused(why: str) -> int:
             """By the flight controller, or before it by a companion that has the key."""
-            return sum(getattr(one.counts, why) for one in (signing, companions) if one is not None)
+            return sum(one.counts[SigningVerdict[why.upper()]] for one in (signing, companions) if one is not None)
 
         for url in (whole.fcu, whole.clients):
             link = await open_transport(url)

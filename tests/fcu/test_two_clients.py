@@ -6,13 +6,14 @@ from typing import Any
 
 import pytest
 
-from tests.faults.virtual_time import on_virtual_time, run_virtual
+from tests.faults.virtual_time import run_virtual
 from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.link.connection import Connection
-from twodof.link.mavlink import modes, setpoints
 from twodof.link.mavlink.messages import excite, message
+from twodof.link.mavlink.setpoints import SetPoint, setpoint_message
 from twodof.link.transport import open_transport
+from twodof.signals import ATTITUDE
 from twodof.sim.virtual_drone import VirtualDrone
 
 DRONE = {"target_system": 1, "target_component": 1}
@@ -63,7 +64,7 @@ async def armed(drone: VirtualDrone, pilot: Client) -> None:
     assert (await pilot.ack(command(400, 1)))[0] == IN_PROGRESS
     heard = await pilot.grant(51)
     assert [one.result for one in heard if one.get_type() == "COMMAND_ACK"] == [ACCEPTED]
-    await pilot.say(setpoints.attitude_target(0.1, 0.4, **DRONE))
+    await pilot.say(setpoint_message(SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), 0, **DRONE))
     assert (await pilot.ack(command(176, 1, 6)))[0] == ACCEPTED
     await pilot.grant(60)
     assert drone.commander.armed
@@ -73,7 +74,7 @@ COMMANDS = {
     "arm": [command(400, 1)],
     "mode": [command(176, 1, 4, 3)],
     "restart": [command(246, 1)],
-    "set-point": [setpoints.attitude_target(0.5, 0.9, **DRONE)],
+    "set-point": [setpoint_message(SetPoint(ATTITUDE, theta0=0.5, thrust=0.9), 0, **DRONE)],
     "sticks": [message("MANUAL_CONTROL", target=1, x=1000, z=1000)],
     "open loop": [message("TWODOF_OPENLOOP", M=1.0, T=1.0, openloop=1, enableM=1, enableT=1, **DRONE)],
     "excitation": [
@@ -118,7 +119,7 @@ def test_all_that_commands_is_refused_to_the_other_and_changes_nothing() -> None
             assert all(one.result == TEMPORARILY_REJECTED for one in heard if one.get_type() == "COMMAND_ACK"), name
             assert name not in SAID_WHO or "system 250, component 190" in texts(heard), name
             assert drone.controller.tick == tick, name
-            await pilot.say(setpoints.attitude_target(0.1, 0.4, **DRONE))
+            await pilot.say(setpoint_message(SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), 0, **DRONE))
             await pilot.grant(tick + 5)
             assert flown(drone) == before, name
             assert drone.commander.lease.holder == (250, 190), name
@@ -142,28 +143,3 @@ def test_the_stop_acts_in_the_next_tick_whoever_says_it(stop: Any) -> None:
         assert (step.fore, step.aft, step.armed) == (0.0, 0.0, False)
 
     run_virtual(_both(work))
-
-
-def test_given_up_it_goes_to_who_asks_and_back() -> None:
-    async def work(drone: VirtualDrone, pilot: Client, other: Client) -> None:
-        await pilot.say(message("TWODOF_LEASE", action=2, **DRONE))
-        assert (await other.ack(command(176, 1, 7)))[0] == ACCEPTED
-        assert drone.commander.custom_mode == modes.ATTITUDE
-        result, told = await pilot.ack(command(176, 1, 6))
-        assert result == TEMPORARILY_REJECTED
-        assert "system 245" in told
-
-    run_virtual(_both(work))
-
-
-@on_virtual_time
-async def test_the_real_failsafe_refuses_arming_by_name() -> None:
-    async with VirtualDrone("paper", {"rings": True}, lockstep=True) as drone:
-        drone.controller.code.set_parameters({"failsafe.battery.low": 50.0})
-        await drone.listen("memin://empty")
-        async with Connection(await open_transport("mem://empty"), 250, 190) as one:
-            pilot = Client(one)
-            await pilot.grant(50)
-            result, told = await pilot.ack(command(400, 1, 21196))
-            assert result == TEMPORARILY_REJECTED
-            assert "battery_low" in told

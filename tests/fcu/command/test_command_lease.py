@@ -18,7 +18,6 @@ from twodof.fcu.command.setpoints import CAPACITY, FRESH, HORIZON
 from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.flight.failsafe.state_machine import OFF
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE
 
@@ -30,29 +29,6 @@ IMPULSE = written_out(Impulse(0.05, 0.02, settle=0.2))
 def standing(commander: Commander) -> tuple[Source | None, int, int]:
     """Return holder of the lease, its remaining ticks, and the count of changes."""
     return commander.lease.holder, commander.lease.left, commander.lease.revision
-
-
-def test_who_asks_first_gets_it_and_the_other_is_told_who_has_it() -> None:
-    commander = Cockpit().commander
-    assert commander.lease.ask(ME, 10_000).accepted
-    for verdict in (
-        commander.lease.ask(OTHER, 10_000),
-        commander.lease.take(OTHER, "arming"),
-        commander.lease.give_up(OTHER),
-    ):
-        assert verdict.result == MavResult.TEMPORARILY_REJECTED
-        assert "system 250, component 190" in verdict.text
-    assert commander.lease.holder == ME
-    assert commander.lease.give_up(ME).accepted
-    assert commander.lease.ask(OTHER, 10_000).accepted
-
-
-def test_one_without_a_lease_gets_a_free_one_by_commanding() -> None:
-    cockpit = Cockpit(talking=())
-    cockpit.run(2)
-    assert cockpit.commander.set_mode(OTHER, modes.RATE).accepted
-    assert cockpit.commander.lease.holder == OTHER
-    assert cockpit.commander.arming.arm(ME).result == MavResult.TEMPORARILY_REJECTED
 
 
 def test_disarmed_it_ends_two_seconds_after_the_last_command_however_much_its_holder_says() -> None:
@@ -77,16 +53,6 @@ def test_armed_it_lasts_while_its_holder_is_heard_and_three_seconds_more() -> No
     assert cockpit.commander.lease.ask(OTHER).accepted
 
 
-def test_who_takes_it_by_arming_and_falls_silent_at_once_has_it_for_three_seconds_too() -> None:
-    cockpit = Cockpit(talking=())
-    cockpit.run(1000)
-    assert cockpit.arm().accepted
-    cockpit.run(HEARD - 2)
-    assert standing(cockpit.commander) == (ME, 1, 1)
-    cockpit.run()
-    assert cockpit.commander.lease.holder is None
-
-
 def test_the_times_are_those_of_the_page() -> None:
     """docs/reference/protocol.md in ticks of 4 ms: 2 s, 3 s, 30 s; set-points above 2 Hz; a minute ahead; 256 wait."""
     assert (COMMANDING, HEARD, LONGEST, FRESH, HORIZON, CAPACITY) == (500, 750, 7500, 125, 15_000, 256)
@@ -106,13 +72,6 @@ def test_every_change_of_holder_is_counted() -> None:
     cockpit.run(5)
     assert standing(cockpit.commander) == (None, 0, 4)
     assert cockpit.commander.remarks == [(6, "nobody holds the lease any more")]
-
-
-def test_a_restart_without_any_lease_leaves_none() -> None:
-    cockpit = Cockpit(talking=())
-    cockpit.run(100)
-    cockpit.commander.restart()
-    assert standing(cockpit.commander) == (None, 0, 0)
 
 
 def test_asked_for_it_lasts_its_time_and_half_a_minute_at_most() -> None:
@@ -151,14 +110,6 @@ def test_before_anybody_is_heard_there_is_no_link_and_what_was_heard_counts_for_
     cockpit.commander.lease.hear(COMPANION, True)
     cockpit.commander.restart()
     assert not cockpit.commander.control_input(0).link_new
-
-
-def test_nobody_has_no_lease() -> None:
-    commander = Cockpit().commander
-    for source in ((0, 1), (0, 190), (0, 0)):
-        assert commander.lease.take(source).result == MavResult.DENIED
-        assert commander.lease.ask(source, 1000).result == MavResult.DENIED
-    assert commander.lease.holder is None
 
 
 def test_a_script_without_a_component_commands_like_another() -> None:
@@ -256,35 +207,6 @@ def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() 
         assert commander.lease.left > 1
         assert commander.refused == {RefusalReason.LEASE: 2}
         assert cockpit.run(10).mode == 0
-
-
-def test_an_arming_of_who_died_while_time_stood_ends_with_its_lease() -> None:
-    cockpit = Cockpit(talking=(), lockstep=True)
-    cockpit.run(2)
-    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
-    cockpit.commander.lease.stands(HEARD)
-    assert cockpit.commander.lease.ask(OTHER).accepted
-    assert cockpit.commander.arming.answer.result == MavResult.FAILED
-    assert not any(cockpit.run().arm for _ in range(5))
-
-
-def test_every_loss_is_counted() -> None:
-    cockpit = armed()
-    for lost in (1, 2):
-        cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + 10)
-        cockpit.commander.lease.give_up(ME)
-        assert cockpit.commander.refused == {RefusalReason.LEASE: lost}
-
-
-def test_disarmed_any_client_keeps_the_link_again() -> None:
-    cockpit = armed(talking=(ME,))
-    cockpit.commander.lease.give_up(ME)
-    cockpit.commander.arming.disarm(OTHER)
-    cockpit.run(2)
-    cockpit.talking = ()
-    cockpit.run()
-    cockpit.commander.lease.hear(COMPANION, True)
-    assert cockpit.run().link_new
 
 
 class TwoClients(RuleBasedStateMachine):

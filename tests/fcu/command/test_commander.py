@@ -146,15 +146,6 @@ def test_what_waits_is_bounded_in_number_and_time() -> None:
     assert cockpit.run(CAPACITY).mode == OFF
 
 
-def test_what_waits_of_one_who_lost_the_lease_does_not_act() -> None:
-    cockpit = offboard()
-    cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.3), cockpit.tick + 10)
-    assert cockpit.commander.lease.give_up(ME).accepted
-    assert cockpit.commander.lease.ask(OTHER).accepted
-    assert cockpit.run(20).theta0 == 0.0
-    assert cockpit.commander.refused[RefusalReason.LEASE] == 1
-
-
 # Modes.
 
 
@@ -329,10 +320,6 @@ def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> No
 # What it says of itself.
 
 
-def test_it_starts_in_manual_mode() -> None:
-    assert Cockpit().commander.custom_mode == modes.MANUAL
-
-
 def test_what_nobody_drains_is_bounded() -> None:
     cockpit = Cockpit()
     for _ in range(2 * MOST_REMARKS):
@@ -437,11 +424,3 @@ def test_a_link_that_is_lost_speaks_against_arming_until_somebody_is_heard() -> 
     assert cockpit.commander.system_status == modes.STANDBY
     cockpit.run()
     assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
-
-
-def test_a_flight_that_was_asked_to_end_says_nothing_of_the_failsafe() -> None:
-    cockpit = offboard()
-    cockpit.commander.remarks.clear()
-    cockpit.commander.arming.disarm(ME)
-    cockpit.run(3)
-    assert not cockpit.commander.remarks

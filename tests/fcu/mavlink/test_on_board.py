@@ -85,20 +85,6 @@ def test_streams_tell_what_flies() -> None:
     flown("streams", what)
 
 
-def test_a_restart_by_command_begins_at_tick_0() -> None:
-    async def what(drone: VirtualDrone, client: Client) -> None:
-        client.say("TWODOF_LEASE", action=1, duration_ms=30_000)
-        await client.run(100)
-        assert await client.command(246, 1.0) == 0
-        await client.run(50)
-        stamps = [one.time_boot_ms for one in client.came if one.get_type() == "ATTITUDE"]
-        assert len(stamps) == 20
-        assert max(stamps) < 200
-        assert drone.controller.tick == 50
-
-    flown("restart", what)
-
-
 def test_a_kill_outlasts_resets_and_disarmings_and_is_shown_until_it_is_released() -> None:
     async def what(drone: VirtualDrone, client: Client) -> None:
         client.say("TWODOF_LEASE", action=1, duration_ms=30_000)

