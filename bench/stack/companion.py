@@ -22,7 +22,6 @@ from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.tcp import TcpTransport
 
 FRAME_US = 15.0
 ADDED_MS = 0.3
@@ -96,7 +95,7 @@ def own_share(clients: int, count: int, repeats: int) -> tuple[float, float]:
 class Ends:
     """A flight controller and a client around a companion: when frames were sent, and how late they came."""
 
-    def __init__(self, vehicle: TcpTransport, client: Transport) -> None:
+    def __init__(self, vehicle: Transport, client: Transport) -> None:
         self.vehicle = vehicle
         self.client = client
         self.sent: dict[int, float] = {}
@@ -160,8 +159,8 @@ class Ends:
 
 async def through(seconds: float, folder: Path) -> tuple[Ends, float]:
     """Frames through a companion in a process of its own, and the CPU time [s] it took for each that it passed on."""
-    vehicle = cast(TcpTransport, await open_transport("tcpin://127.0.0.1:0"))
-    arguments = ("companion", "--fcu", f"tcp://127.0.0.1:{vehicle.port}", "--onboard", "udpin://127.0.0.1:0")
+    vehicle = await open_transport("tcpin://127.0.0.1:0")
+    arguments = ("companion", "--fcu", vehicle.url.replace("in:", ":"), "--onboard", "udpin://127.0.0.1:0")
     with running(*arguments, urls=1, folder=folder) as program:
         client = await open_transport(program.urls[0].replace("udpin:", "udp:"))
         ends = Ends(vehicle, client)

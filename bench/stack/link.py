@@ -16,7 +16,6 @@ from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps
 from twodof.link.transport import open_transport
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.udp import UdpTransport
 
 # DESIGN section 6.
 LOAD_SECONDS = 0.1
@@ -61,8 +60,7 @@ async def round_trips(count: int, signed: bool) -> list[float]:
         return Signing(key, Stamps(None)) if signed else None
 
     listening = await open_transport("udpin://:0")
-    port = listening.port if isinstance(listening, UdpTransport) else 0
-    calling = await open_transport(f"udp://127.0.0.1:{port}")
+    calling = await open_transport(listening.url.replace("in:", ":"))
     async with Connection(listening, 1, 1, signing()) as drone, Connection(calling, 255, 190, signing()) as ground:
 
         async def serve() -> None:

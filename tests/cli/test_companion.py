@@ -13,7 +13,6 @@ from tests.cli.program import Shell
 from tests.companion.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
 from twodof.link.transport import open_transport
-from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.url import parse
 
 pytestmark = pytest.mark.slow
@@ -31,8 +30,7 @@ async def started(*arguments: str) -> asyncio.subprocess.Process:
 async def flight_controller() -> tuple[Vehicle, str]:
     """A flight controller by script on TCP, and its URL."""
     transport = await open_transport("tcpin://127.0.0.1:0")
-    assert isinstance(transport, TcpTransport)
-    return Vehicle(transport), f"tcp://127.0.0.1:{transport.port}"
+    return Vehicle(transport), transport.url.replace("in:", ":")
 
 
 def test_it_routes_and_ends_on_a_signal() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from tests.patience import PATIENCE_S
 from twodof.link.transport.base import Transport
+from twodof.link.transport.url import parse
 
 # What a packet on loopback needs is under a millisecond; it is waited for until it must have been lost.
 SOON = PATIENCE_S / 4
@@ -15,6 +16,12 @@ SOON = PATIENCE_S / 4
 def run(work: Coroutine[Any, Any, Any]) -> Any:
     """In a fresh loop, with a deadline for the whole."""
     return asyncio.run(asyncio.wait_for(work, PATIENCE_S))
+
+
+def port(end: Transport) -> int:
+    """The port where an end listens."""
+    address = parse(end.url)
+    return address.bind_port or address.port
 
 
 async def gather(end: Transport, size: int) -> bytes:

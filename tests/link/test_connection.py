@@ -10,7 +10,7 @@ import pytest
 
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import on_virtual_time
-from tests.link.ends import SOON, in_loop
+from tests.link.ends import SOON, in_loop, port
 from twodof.errors import LinkError, LinkLost
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
@@ -19,8 +19,6 @@ from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
 from twodof.link.transport import open_transport, udp
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.tcp import TcpTransport
-from twodof.link.transport.udp import UdpTransport
 
 pytestmark = pytest.mark.slow
 
@@ -29,8 +27,7 @@ pytestmark = pytest.mark.slow
 @in_loop
 async def test_messages_both_ways(kind: str) -> None:
     there_at = await open_transport("memin://both" if kind == "mem" else f"{kind}in://:0")
-    port = there_at.port if isinstance(there_at, UdpTransport | TcpTransport) else 0
-    here_at = await open_transport(f"{kind}://127.0.0.1:{port}" if port else "mem://both")
+    here_at = await open_transport(there_at.url.replace("in:", ":"))
     async with Connection(there_at, 1, 1) as drone, Connection(here_at, 255, 190) as ground:
         for tick in range(300):
             ground.send(message("TWODOF_OPENLOOP", tick=tick, M=0.1, openloop=1))
@@ -171,9 +168,8 @@ async def test_a_signed_link_and_an_intruder(tmp_path: Path) -> None:
 @in_loop
 async def test_an_unsigned_stranger_over_udp_gets_no_telemetry() -> None:
     at = await open_transport("udpin://:0")
-    assert isinstance(at, UdpTransport)
     drone = Connection(at, 1, 1, Signing(Key.fresh(), Stamps(None)))
-    stranger = Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 255, 190)
+    stranger = Connection(await open_transport(f"udp://127.0.0.1:{port(at)}"), 255, 190)
     stranger.send(message("HEARTBEAT"))
     stranger.send(message("RADIO_STATUS", rssi=1))  # a radio's own word, which has no signature anywhere else either
     assert await drone.receive(0.1) is None
@@ -191,11 +187,10 @@ async def test_what_is_not_signed_keeps_nobodys_place(monkeypatch: pytest.Monkey
     monkeypatch.setattr(udp, "SILENT_S", 0.2)
     key = Key.fresh()
     at = await open_transport("udpin://:0")
-    assert isinstance(at, UdpTransport)
     async with (
         Connection(at, 1, 1, Signing(key, Stamps(None))) as drone,
-        Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 9, 9, Signing(key, Stamps(None))) as gone,
-        Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 8, 8, Signing(key, Stamps(None))) as new,
+        Connection(await open_transport(f"udp://127.0.0.1:{port(at)}"), 9, 9, Signing(key, Stamps(None))) as gone,
+        Connection(await open_transport(f"udp://127.0.0.1:{port(at)}"), 8, 8, Signing(key, Stamps(None))) as new,
     ):
         gone.send(message("HEARTBEAT"))
         assert await drone.receive(SOON) is not None

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
 from tests.faults.virtual_time import on_virtual_time
-from tests.link.ends import SOON, in_loop
+from tests.link.ends import SOON, in_loop, port
 from twodof.errors import LinkError
 from twodof.link import signing as signing_module
 from twodof.link.connection import Connection
@@ -41,7 +41,6 @@ from twodof.link.signing import (
 )
 from twodof.link.transport import open_transport
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.udp import UdpTransport
 
 pytestmark = pytest.mark.slow
 
@@ -232,8 +231,7 @@ async def test_who_has_a_time_of_before_catches_up_by_what_it_is_told(before: bo
     """Over UDP nobody is sent to before it was accepted; who signs rightly is told our time nevertheless."""
     day = 24 * 3600 * PER_SECOND
     there = await open_transport("udpin://:0")
-    assert isinstance(there, UdpTransport)
-    here = await open_transport(f"udp://127.0.0.1:{there.port}")
+    here = await open_transport(f"udp://127.0.0.1:{port(there)}")
     mine, theirs = signing(), signing()
     beat = message("HEARTBEAT", type=6, autopilot=8)
     async with Connection(there, 1, 1, mine) as drone, Connection(here, 9, 190, theirs) as client:

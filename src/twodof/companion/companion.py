@@ -93,7 +93,7 @@ class Companion:
     @property
     def urls(self) -> list[tuple[str, str]]:
         """URL of each client link, with the port that the system chose for port 0, and the name of its rates."""
-        return [port.address for port in self.ports]
+        return [(port.transport.url, port.serve.rates) for port in self.ports]
 
     @property
     def killed(self) -> bool:

@@ -4,7 +4,7 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from twodof.companion.client import SILENT_S, CompanionClient, profile
 from twodof.companion.component import CompanionComponent
@@ -15,8 +15,6 @@ from twodof.link.mavlink.framing import Frame, Parser
 from twodof.link.signing import Admission
 from twodof.link.transport import open_transport
 from twodof.link.transport.base import Packet, Transport
-from twodof.link.transport.tcp import TcpTransport
-from twodof.link.transport.udp import UdpTransport
 from twodof.link.transport.url import Ports, parse
 
 OPEN_S, WAIT_S = 2.0, 60.0
@@ -219,23 +217,11 @@ class ClientLink(CompanionLink):
     def __init__(self, serve: Serve, vehicle: VehicleLink, component: CompanionComponent) -> None:
         super().__init__(serve.url, vehicle.router, component)
         self.clients: dict[Hashable, CompanionClient] = {}
-        self._serve, self._vehicle = serve, vehicle
+        self.serve, self._vehicle = serve, vehicle
         self._rates = profile(serve.rates)
         self._parsers: dict[Hashable, tuple[Parser, float]] = {}  # with the time when each was fed last
         self._default: Hashable = None
         self._datagrams = parse(serve.url).kind in ("udp", "udpin", "udpbcast")  # these peers leave without a word
-
-    @property
-    def address(self) -> tuple[str, str]:
-        """URL, with the port that the link listens on, and the name of its rates."""
-        address, transport = parse(self.url), self.transport
-        if isinstance(transport, UdpTransport | TcpTransport):
-            if address.bind_name:
-                address = replace(address, bind_port=transport.port)
-            elif address.listens:
-                address = replace(address, port=transport.port)
-            return str(address), self._serve.rates
-        return self.url, self._serve.rates
 
     async def open(self) -> None:
         await super().open()
@@ -310,7 +296,7 @@ class ClientLink(CompanionLink):
             if not leaving:
                 return None
             self._dismiss(min(leaving, key=lambda one: one.heard))
-        client = CompanionClient(self.transport, peer, self._rates, now, stays, self._serve.on_board)
+        client = CompanionClient(self.transport, peer, self._rates, now, stays, self.serve.on_board)
         self.clients[peer] = client
         self.router.add(client)
         return client

@@ -5,7 +5,7 @@ import gc
 import time
 from collections.abc import Callable, Hashable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 from twodof.errors import LinkError, LinkLost
@@ -17,7 +17,6 @@ from twodof.link.mavlink.dialect import AUTOPILOT
 from twodof.link.mavlink.framing import looks_like_a_stop
 from twodof.link.signing import Signing
 from twodof.link.transport import open_transport
-from twodof.link.transport.url import parse
 from twodof.signals import TICK_NS
 
 RESPONSIVE_S = 0.004
@@ -88,8 +87,7 @@ class Server:
         task = asyncio.create_task(self._serve(connection, url), name=f"link {url}")
         self._tasks.add(task)
         task.add_done_callback(lambda _: self._failed.set())
-        address, port = parse(url), getattr(connection.transport, "port", 0)
-        return str(replace(address, port=port) if address.listens and port else address)
+        return connection.transport.url
 
     def send(self, message: Any, peer: Hashable | None = None) -> None:
         """Send to one Peer, or to all; a message that a peer refuses, or that does not fit, is dropped and counted."""

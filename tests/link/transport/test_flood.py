@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from tests.link.ends import SOON, in_loop
+from tests.link.ends import SOON, in_loop, port
 from tests.patience import patiently
 from twodof.link.mavlink.framing import encode, looks_like_a_stop
 from twodof.link.mavlink.messages import message
@@ -72,7 +72,7 @@ async def pour(there: UdpTransport, sockets: list[socket.socket], data: bytes = 
         for _ in range(udp.BURST + 64):  # more than is read in a turn
             chance.choice(sockets).send(data)
         await asyncio.sleep(0)
-        if there.floods:
+        if there._flood.count:
             return
 
 
@@ -98,7 +98,7 @@ def long_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
 @in_loop
 async def test_a_flooder_is_refused_but_its_kill_passes(host: str) -> None:
     async with await listening(host) as there:
-        with senders(there.port, 3, host) as (flooder, pilot, late):
+        with senders(port(there), 3, host) as (flooder, pilot, late):
             pilot.send(b"pilot")
             await drain(there, b"pilot")
             await pour(there, [flooder])
@@ -111,13 +111,13 @@ async def test_a_flooder_is_refused_but_its_kill_passes(host: str) -> None:
             late.send(b"newcomer")
             assert await drain(there, b"newcomer") == [STOPS[0], b"again", b"newcomer"]
             assert there.counts.packets_in == before + 3
-            assert there.floods == 1
+            assert there._flood.count == 1
 
 
 @in_loop
 async def test_known_peers_are_heard_during_a_flood() -> None:
     async with await listening() as there:
-        with senders(there.port, 100) as many, senders(there.port, 2) as (pilot, late):
+        with senders(port(there), 100) as many, senders(port(there), 2) as (pilot, late):
             pilot.send(b"pilot")
             packet = await there.receive(SOON)
             assert packet is not None
@@ -139,12 +139,11 @@ async def test_the_default_address_is_a_known_peer() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as default:
         default.bind(("127.0.0.1", 0))
         there = await open_transport(f"udp://127.0.0.1:{default.getsockname()[1]}?bind=0")
-        assert isinstance(there, UdpTransport)
         async with there:
-            with senders(there.port, 100) as many:
+            with senders(port(there), 100) as many:
                 await pour(there, many)
                 await drain(there)
-                default.sendto(b"ground", ("127.0.0.1", there.port))
+                default.sendto(b"ground", ("127.0.0.1", port(there)))
                 assert await drain(there, b"ground") == [b"ground"]
 
 
@@ -152,7 +151,7 @@ async def test_the_default_address_is_a_known_peer() -> None:
 async def test_a_refusal_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(udp, "REFUSED_S", 0.05)
     async with await listening() as there:
-        with senders(there.port, 1) as (flooder,):
+        with senders(port(there), 1) as (flooder,):
             await pour(there, [flooder])
             await drain(there)
             for _ in patiently():
@@ -166,7 +165,7 @@ async def test_a_refusal_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 async def test_a_sleeping_reader_notices_no_flood() -> None:
     """A buffer full to the brim is read to its end, and nobody is blamed."""
     async with await listening() as there:
-        with senders(there.port, 1) as (busy,):
+        with senders(port(there), 1) as (busy,):
             for _ in range(5000):
                 busy.send(b"x")
             await asyncio.sleep(0.05)
@@ -174,7 +173,7 @@ async def test_a_sleeping_reader_notices_no_flood() -> None:
                 pass
             busy.send(b"y")
             assert await drain(there, b"y") == [b"y"]
-            assert there.floods == 0
+            assert there._flood.count == 0
 
 
 def test_a_stop_is_known_by_its_beginning() -> None:

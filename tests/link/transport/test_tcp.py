@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from tests.link.ends import SOON, gather, in_loop
+from tests.link.ends import SOON, gather, in_loop, port
 from twodof.link.transport import base as bounds
 from twodof.link.transport import open_transport, tcp
-from twodof.link.transport.tcp import TcpTransport
+from twodof.link.transport.base import Transport
 
 
-def streams(there: TcpTransport) -> list[Any]:
+def streams(there: Transport) -> list[Any]:
     """The connections that stand, each with its `name`, `socket` and whether it is `paused`."""
     return [*there.peers]
 
@@ -25,8 +25,7 @@ def streams(there: TcpTransport) -> list[Any]:
 @in_loop
 async def test_a_tcp_peer_that_does_not_read_costs_bounded_memory() -> None:
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
-        deaf = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
+        deaf = socket.create_connection(("127.0.0.1", port(there)), timeout=SOON)
         with deaf:
             while not there.peers:
                 await asyncio.sleep(0.01)
@@ -38,7 +37,7 @@ async def test_a_tcp_peer_that_does_not_read_costs_bounded_memory() -> None:
             (stream,) = streams(there)
             assert stream.socket.get_write_buffer_size() <= bounds.MOST_OUT_BYTES
         # The deaf one is gone with a reset; the server goes on.
-        async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
+        async with await open_transport(f"tcp://127.0.0.1:{port(there)}") as here:
             here.send(b"hello")
             assert await gather(there, 5) == b"hello"
 
@@ -48,11 +47,10 @@ async def test_a_slow_tcp_reader_slows_its_sender_and_loses_nothing(monkeypatch:
     monkeypatch.setattr(bounds, "MOST_BYTES", 200_000)
     size = 3_000_000
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
         data = os.urandom(size)
 
         def pour() -> None:
-            with socket.create_connection(("127.0.0.1", there.port), timeout=SOON) as out:
+            with socket.create_connection(("127.0.0.1", port(there)), timeout=SOON) as out:
                 out.sendall(data)
 
         pouring = threading.Thread(target=pour)
@@ -72,9 +70,8 @@ async def test_of_many_that_flood_no_more_is_read_than_leaves_the_reader_time() 
     """
     floods, seconds = 8, 0.5
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
         with ExitStack() as stack:
-            links = [socket.create_connection(("127.0.0.1", there.port), timeout=SOON) for _ in range(floods)]
+            links = [socket.create_connection(("127.0.0.1", port(there)), timeout=SOON) for _ in range(floods)]
             for link in links:
                 stack.callback(link.close)
                 link.setblocking(False)
@@ -97,9 +94,8 @@ async def test_of_many_that_flood_no_more_is_read_than_leaves_the_reader_time() 
 async def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
     """Behind a reader that is busy elsewhere at most two windows of the flood are ahead of another's few bytes."""
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
-        flooder = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
-        other = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
+        flooder = socket.create_connection(("127.0.0.1", port(there)), timeout=SOON)
+        other = socket.create_connection(("127.0.0.1", port(there)), timeout=SOON)
         with flooder, other:
             while len(there.peers) < 2:
                 await asyncio.sleep(0.001)
@@ -123,8 +119,7 @@ async def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
 @in_loop
 async def test_tcp_clients_are_several_and_one_that_goes_harms_nobody() -> None:
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
-        url = f"tcp://127.0.0.1:{there.port}"
+        url = f"tcp://127.0.0.1:{port(there)}"
         async with await open_transport(url) as one, await open_transport(url) as two:
             one.send(b"1")
             two.send(b"2")
@@ -140,11 +135,11 @@ async def test_tcp_clients_are_several_and_one_that_goes_harms_nobody() -> None:
             assert there.counts.dropped_out == 1
 
 
-async def _come(there: TcpTransport, count: int, source: str = "127.0.0.1") -> list[socket.socket]:
+async def _come(there: Transport, count: int, source: str = "127.0.0.1") -> list[socket.socket]:
     """Connect `count` more clients from an address of this machine, one after the other."""
     came = []
     for _ in range(count):
-        one = socket.create_connection(("127.0.0.1", there.port), SOON, (source, 0))
+        one = socket.create_connection(("127.0.0.1", port(there)), SOON, (source, 0))
         name = f"{source}:{one.getsockname()[1]}"
         end = asyncio.get_running_loop().time() + 0.5
         while not any(stream.name == name for stream in streams(there)) and asyncio.get_running_loop().time() < end:
@@ -153,7 +148,7 @@ async def _come(there: TcpTransport, count: int, source: str = "127.0.0.1") -> l
     return came
 
 
-def _names(there: TcpTransport) -> set[int]:
+def _names(there: Transport) -> set[int]:
     """The ports of those that have a place."""
     return {int(stream.name.rpartition(":")[2]) for stream in streams(there)}
 
@@ -164,7 +159,6 @@ async def test_idle_clients_lock_no_port_and_who_speaks_or_is_kept_stays(monkeyp
     monkeypatch.setattr(tcp, "SPEAKS_S", 0.0)
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
         ends = await _come(there, 4)
         ports = [one.getsockname()[1] for one in ends]
         (talker,) = (stream for stream in streams(there) if stream.name.endswith(f":{ports[0]}"))
@@ -189,7 +183,6 @@ async def test_idle_clients_lock_no_port_and_who_speaks_or_is_kept_stays(monkeyp
 async def test_one_address_takes_not_all_places_from_another(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tcp, "MOST_CLIENTS", 4)
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
         greedy = await _come(there, 4)
         for stream in streams(there):
             there.confirm(stream)

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from tests.link.ends import SOON, in_loop
+from tests.link.ends import SOON, in_loop, port
 from twodof.link import connection
 from twodof.link.connection import Connection
 from twodof.link.mavlink import framing
@@ -20,8 +20,6 @@ from twodof.link.transport import base as bounds
 from twodof.link.transport import open_transport, udp
 from twodof.link.transport.base import Inbox, Packet, TransportCounts
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.tcp import TcpTransport
-from twodof.link.transport.udp import UdpTransport
 
 pytestmark = pytest.mark.slow
 
@@ -95,19 +93,18 @@ async def test_others_have_their_turn_beside_what_is_not_signed() -> None:
 @in_loop
 async def test_rubbish_on_a_stream_is_looked_through_in_pieces() -> None:
     size = 200 * connection.PIECE
-    async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
-        async with (
-            await open_transport(f"tcp://127.0.0.1:{there.port}") as here,
-            Connection(there, 1, 1) as drone,
-            turns() as count,
-        ):
-            here.send(FALSE * size)
-            here.send(bytes(LONGEST_FRAME))  # ends what looks begun
-            here.send(encode(TICK, 9, 9, 0))
-            assert await drone.receive(SOON) is not None
-            assert drone.framing["bad_checksum"] > size // 2
-            assert count[0] >= 200
+    async with (
+        await open_transport("tcpin://:0") as there,
+        await open_transport(f"tcp://127.0.0.1:{port(there)}") as here,
+        Connection(there, 1, 1) as drone,
+        turns() as count,
+    ):
+        here.send(FALSE * size)
+        here.send(bytes(LONGEST_FRAME))  # ends what looks begun
+        here.send(encode(TICK, 9, 9, 0))
+        assert await drone.receive(SOON) is not None
+        assert drone.framing["bad_checksum"] > size // 2
+        assert count[0] >= 200
 
 
 @in_loop
@@ -142,9 +139,8 @@ def test_a_datagram_costs_no_more_than_so_many_checksums(data: bytes) -> None:
 @in_loop
 async def test_a_datagram_longer_than_a_network_carries_is_dropped() -> None:
     async with await open_transport("udpin://:0") as there:
-        assert isinstance(there, UdpTransport)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
-            here.connect(("127.0.0.1", there.port))
+            here.connect(("127.0.0.1", port(there)))
             for size in (udp.LONGEST_DATAGRAM + 1, 60_000, udp.LONGEST_DATAGRAM):
                 here.send(bytes(size))
             packet = await there.receive(SOON)
@@ -212,8 +208,7 @@ async def test_a_kill_waits_behind_nothing_that_came_before_it_and_acts_once(kin
         return Signing(key, Stamps(None)) if signed else None
 
     there = await open_transport(f"{kind}in://:0")
-    assert isinstance(there, TcpTransport | UdpTransport)
-    pilot = Connection(await open_transport(f"{kind}://127.0.0.1:{there.port}"), 250, 190, signing())
+    pilot = Connection(await open_transport(f"{kind}://127.0.0.1:{port(there)}"), 250, 190, signing())
     async with Connection(there, 1, 1, signing()) as drone, pilot:
         for number in range(12):
             pilot.send(message("TWODOF_TICK", tick=number))
@@ -236,10 +231,9 @@ async def test_a_kill_behind_thirty_floods_acts_before_their_first_frame() -> No
     """Counted in what was taken before it, not in time: 30 connections' worth waits, and the kill comes last of all."""
     beats = b"".join(encode(message("HEARTBEAT"), 9, 9, number & 255) for number in range(400))
     async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
         drone = Connection(there, 1, 1)
-        floods = [await open_transport(f"tcp://127.0.0.1:{there.port}") for _ in range(30)]
-        other = await open_transport(f"tcp://127.0.0.1:{there.port}")
+        floods = [await open_transport(f"tcp://127.0.0.1:{port(there)}") for _ in range(30)]
+        other = await open_transport(f"tcp://127.0.0.1:{port(there)}")
         while len(there.peers) < 31:
             await asyncio.sleep(0.01)
         for one in floods:

@@ -6,10 +6,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.link.ends import SOON, in_loop
+from tests.link.ends import SOON, in_loop, port
 from twodof.link.transport import open_transport, udp
-from twodof.link.transport.base import Packet
-from twodof.link.transport.udp import UdpTransport
+from twodof.link.transport.base import Packet, Transport
 
 
 @contextmanager
@@ -21,26 +20,18 @@ def plain(host: str = "127.0.0.1") -> Iterator[tuple[socket.socket, int]]:
         yield opened, opened.getsockname()[1]
 
 
-async def one(transport: UdpTransport) -> Packet:
+async def one(transport: Transport) -> Packet:
     """The next packet."""
     packet = await transport.receive(SOON)
     assert packet is not None
     return packet
 
 
-async def opened(url: str) -> UdpTransport:
-    """A UDP transport."""
-    transport = await open_transport(url)
-    assert isinstance(transport, UdpTransport)
-    return transport
-
-
 @in_loop
 async def test_it_sends_to_its_address_always_and_to_whoever_writes_soundly() -> None:
-    with plain() as (default, port), plain() as (guest, guest_port), plain() as (mad, _):
-        async with await opened(f"udp://127.0.0.1:{port}?bind=0") as link:
-            assert isinstance(link, UdpTransport)
-            here = ("127.0.0.1", link.port)
+    with plain() as (default, there), plain() as (guest, guest_port), plain() as (mad, _):
+        async with await open_transport(f"udp://127.0.0.1:{there}?bind=0") as link:
+            here = ("127.0.0.1", port(link))
             link.send(b"1")
             assert default.recvfrom(9) == (b"1", here)  # from the port that it is bound to
             guest.sendto(b"hello", here)
@@ -53,7 +44,7 @@ async def test_it_sends_to_its_address_always_and_to_whoever_writes_soundly() ->
             default.sendto(b"mine", here)
             packet = await one(link)
             link.confirm(packet.peer)
-            assert link.peers == (("127.0.0.1", port), ("127.0.0.1", guest_port))  # its own is not there twice
+            assert link.peers == (("127.0.0.1", there), ("127.0.0.1", guest_port))  # its own is not there twice
             link.send(b"2")
             assert (default.recv(9), guest.recv(9)) == (b"2", b"2")
             mad.setblocking(False)
@@ -63,15 +54,15 @@ async def test_it_sends_to_its_address_always_and_to_whoever_writes_soundly() ->
 
 @in_loop
 async def test_a_broadcast_ends_while_somebody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    with plain("0.0.0.0") as (listener, port):
+    with plain("0.0.0.0") as (listener, there):
         # The loopback network's own broadcast address: nothing leaves this machine.
-        async with await opened(f"udpbcast://127.255.255.255:{port}?bind=127.0.0.1:0") as link:
+        async with await open_transport(f"udpbcast://127.255.255.255:{there}?bind=127.0.0.1:0") as link:
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
                 ground.settimeout(SOON)
-                assert link.peers == (("127.255.255.255", port),)
+                assert link.peers == (("127.255.255.255", there),)
                 link.send(b"who is there")
-                assert listener.recvfrom(20) == (b"who is there", ("127.0.0.1", link.port))
-                ground.sendto(b"I am", ("127.0.0.1", link.port))
+                assert listener.recvfrom(20) == (b"who is there", ("127.0.0.1", port(link)))
+                ground.sendto(b"I am", ("127.0.0.1", port(link)))
                 packet = await one(link)
                 link.confirm(packet.peer)
                 assert link.peers == (packet.peer,)
@@ -81,4 +72,4 @@ async def test_a_broadcast_ends_while_somebody_answers(monkeypatch: pytest.Monke
                 with pytest.raises(BlockingIOError):
                     listener.recv(20)
                 monkeypatch.setattr(udp, "SILENT_S", 0.0)  # as if so long had passed
-                assert link.peers == (("127.255.255.255", port),)
+                assert link.peers == (("127.255.255.255", there),)

@@ -107,11 +107,6 @@ class TcpTransport(Transport):
         return tuple(self._streams)
 
     @property
-    def port(self) -> int:
-        """The port that it listens on, 0 for a client."""
-        return int(self._listening[0].getsockname()[1]) if self._listening else 0
-
-    @property
     def backlog(self) -> int:
         """Bytes that wait for the slowest reader."""
         return max((one.socket.get_write_buffer_size() for one in self._streams), default=0)
@@ -271,6 +266,7 @@ async def open_tcp(address: Address) -> TcpTransport:
                 one.bind(place)
                 one.listen(BACKLOG)
                 loop.add_reader(one, transport._accepts, one)
+            transport.url = str(address.at(listening[0].getsockname()[1]))
         else:
             await loop.create_connection(lambda: _Stream(transport), address.name, address.port)
     except OSError:

@@ -105,6 +105,7 @@ class UdpTransport(Transport):
         self._server = there
         self._flood = FloodGuard(opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF), self._loop, lambda: self.peers)
         self._loop.add_reader(opened.fileno(), self._readable)
+        self.url = str(address.at(opened.getsockname()[1]))
 
     @property
     def peers(self) -> tuple[Hashable, ...]:
@@ -116,11 +117,6 @@ class UdpTransport(Transport):
             heard = tuple(peer for peer, when in self._heard.items() if now - when < SILENT_S)
             return heard or (self._server,)
         return (self._server, *self._heard)
-
-    @property
-    def port(self) -> int:
-        """The port it listens on or sends from; 0 once it is closed."""
-        return 0 if self.closed else int(self._socket.getsockname()[1])
 
     def confirm(self, peer: Hashable) -> None:
         """Add `peer`; if all places are taken, forget a peer that has been silent for SILENT_S."""
@@ -137,11 +133,6 @@ class UdpTransport(Transport):
     def stranger(self, peer: Hashable) -> bool:
         """Return True if a peer did not get a place."""
         return self._learns and peer not in self._heard and peer != self._server
-
-    @property
-    def floods(self) -> int:
-        """Number of floods after which peers were refused for a while."""
-        return self._flood.count
 
     def _readable(self) -> None:
         end = self._loop.time() + TURN_S

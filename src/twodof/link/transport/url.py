@@ -2,7 +2,7 @@
 
 import re
 import termios
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
@@ -67,6 +67,12 @@ class Address:
     def listens(self) -> bool:
         """True if other sides connect to it."""
         return self.kind.endswith("in")
+
+    def at(self, port: int) -> "Address":
+        """Return the address with the port that the system chose where it listens."""
+        if self.bind_name:
+            return replace(self, bind_port=port)
+        return replace(self, port=port) if self.listens else self
 
     def __str__(self) -> str:
         if self.kind == "serial":
