@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from tests.compile.px4.build import Bench
+from tests.compile.px4.flown import mode
 from tests.compile.px4.modules import PITCH_LOG, both, motors, overflowing, pitch, rail
 from twodof.compile.px4.export import make_module
 
@@ -20,11 +21,18 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 
 @pytest.fixture
-def bench(built: Bench) -> Bench:
+def started(built: Bench) -> Bench:
     """A fresh process, in which the module has been started."""
     built.fresh()
     built.command("start")
     return built
+
+
+@pytest.fixture
+def bench(started: Bench) -> Bench:
+    """The same, armed in a mode in which the module commands."""
+    mode(started)
+    return started
 
 
 @pytest.fixture(scope="session")

@@ -73,7 +73,6 @@ def test_a_start_in_a_flight_that_nobody_controls_disarms(built: Bench, rates: b
 
 @pytest.mark.parametrize("topic", COMMANDS)
 def test_another_that_ends_takes_no_command_away(bench: Bench, topic: str) -> None:
-    mode(bench)
     fly(bench, 10)
     bench.end(topic)
     fly(bench, 10)
@@ -87,7 +86,6 @@ def test_another_that_ends_takes_no_command_away(bench: Bench, topic: str) -> No
 
 
 def test_another_that_commands_too_is_told_once_and_seen_all_the_time(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     for _ in range(50):
         bench.publish("vehicle_torque_setpoint", xyz=[0.0, 0.3, 0.0])
@@ -99,7 +97,6 @@ def test_another_that_commands_too_is_told_once_and_seen_all_the_time(bench: Ben
 
 
 def test_it_does_not_stop_in_flight(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     bench.command("stop")
     fly(bench, 5)
@@ -111,16 +108,16 @@ def test_it_does_not_stop_in_flight(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("queued", [False, True], ids=["alone", "with a run asked for before"])
-def test_a_forced_stop_in_flight_disarms_and_leaves_no_command_behind(bench: Bench, queued: bool) -> None:
-    bench.publish("vehicle_status", system_id=7, component_id=1)
-    mode(bench)
-    fly(bench, 5)
-    bench.obey()
+def test_a_forced_stop_in_flight_disarms_and_leaves_no_command_behind(started: Bench, queued: bool) -> None:
+    started.publish("vehicle_status", system_id=7, component_id=1)
+    mode(started)
+    fly(started, 5)
+    started.obey()
     if queued:
-        bench.publish("vehicle_angular_velocity", at_once=False)
-    bench.command("stop", "-f")
-    fly(bench, 5)
-    events = bench.run()
+        started.publish("vehicle_angular_velocity", at_once=False)
+    started.command("stop", "-f")
+    fly(started, 5)
+    events = started.run()
     assert events.returned() == [0, 0]
     assert len(asked(events)) == 1
     command = events.topic("vehicle_command")[0]
@@ -139,7 +136,6 @@ def test_a_forced_stop_in_flight_disarms_and_leaves_no_command_behind(bench: Ben
 
 
 def test_a_forced_stop_commands_nothing_to_move_until_px4_has_disarmed(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     begin = bench.now
     bench.command("stop", "-f")
@@ -152,11 +148,11 @@ def test_a_forced_stop_commands_nothing_to_move_until_px4_has_disarmed(bench: Be
     assert any("PX4 is armed and nobody commands" in text for text in events.told())
 
 
-def test_disarmed_it_stops_at_once_and_without_a_word(bench: Bench) -> None:
-    mode(bench, armed=False)
-    fly(bench, 5)
-    bench.command("stop")
-    events = bench.run()
+def test_disarmed_it_stops_at_once_and_without_a_word(started: Bench) -> None:
+    mode(started, armed=False)
+    fly(started, 5)
+    started.command("stop")
+    events = started.run()
     assert events.returned() == [0, 0]
     assert events.told() == []
     assert len(events.topic("vehicle_command")) == 0
@@ -164,7 +160,6 @@ def test_disarmed_it_stops_at_once_and_without_a_word(bench: Bench) -> None:
 
 
 def test_a_gyro_that_falls_silent_in_flight_is_told_and_px4_is_asked_to_disarm(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 50)
     begin = bench.now
     silence(bench, 1.2)
@@ -177,7 +172,6 @@ def test_a_gyro_that_falls_silent_in_flight_is_told_and_px4_is_asked_to_disarm(b
 
 
 def test_once_px4_has_disarmed_it_is_not_asked_again(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     silence(bench, 0.6)
     silence(bench, 2.0, armed=False)
@@ -185,7 +179,6 @@ def test_once_px4_has_disarmed_it_is_not_asked_again(bench: Bench) -> None:
 
 
 def test_a_short_silence_is_told_and_flown_through(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 50)
     silence(bench, 0.3)
     fly(bench, 50)
@@ -196,17 +189,16 @@ def test_a_short_silence_is_told_and_flown_through(bench: Bench) -> None:
     assert rows["active"][-50:].all()
 
 
-def test_a_gyro_that_is_silent_while_disarmed_is_nobodys_business(bench: Bench) -> None:
-    mode(bench, armed=False)
-    fly(bench, 50)
-    silence(bench, 2.0, armed=False)
-    events = bench.run()
+def test_a_gyro_that_is_silent_while_disarmed_is_nobodys_business(started: Bench) -> None:
+    mode(started, armed=False)
+    fly(started, 50)
+    silence(started, 2.0, armed=False)
+    events = started.run()
     assert events.told() == []
     assert asked(events) == []
 
 
 def test_an_attitude_that_stays_away_is_told_and_px4_is_asked_to_disarm(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 10)
     for _ in range(200):
         bench.at(bench.now + PERIOD)

@@ -27,7 +27,6 @@ def assert_flown(rows: Any, changes: Mapping[int, Mapping[str, Any]] | None = No
 
 
 def test_parameters_change_between_two_steps(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 10)
     bench.parameter("TPI_DAMP_GAINS_0", 1.5)
     bench.parameter("TPI_DAMPER_SHARE", 2)
@@ -40,7 +39,6 @@ def test_parameters_change_between_two_steps(bench: Bench) -> None:
 
 
 def test_a_value_out_of_bounds_is_put_back_and_stands_in_nobodys_way(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     bench.parameter("TPI_DAMP_GAINS_0", 1.5)
     bench.parameter("TPI_DAMPER_KI", 5.1)
@@ -65,7 +63,6 @@ def test_a_value_out_of_bounds_is_put_back_and_stands_in_nobodys_way(bench: Benc
 
 
 def test_several_values_out_of_bounds_are_put_back_with_one_notification(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     for name, value in (("TPI_DAMPER_KI", -1.0), ("TPI_DAMPER_SHARE", 0), ("TPI_DAMPE_INTEGR", 7), ("TPI_LIVE", 2)):
         bench.parameter(name, value)
@@ -81,7 +78,6 @@ def test_several_values_out_of_bounds_are_put_back_with_one_notification(bench: 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 4.000001, -1e-9])
 def test_no_value_outside_its_bounds_is_ever_taken(bench: Bench, value: float) -> None:
-    mode(bench)
     fly(bench, 1)
     bench.parameter("TPI_DAMP_GAINS_0", value)
     bench.publish("parameter_update")
@@ -95,7 +91,6 @@ def test_no_value_outside_its_bounds_is_ever_taken(bench: Bench, value: float) -
 
 
 def test_changes_wait_while_live_is_0_and_act_together(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     for name, value in (("TPI_LIVE", 0), ("TPI_DAMP_GAINS_0", 1.5), ("TPI_DAMP_GAINS_1", 0.2)):
         bench.parameter(name, value)
@@ -147,17 +142,17 @@ def test_a_start_with_a_value_out_of_bounds_flies_its_default_and_the_other_valu
     assert np.array_equal(torque, SQRT2 * rows["out_m"])
 
 
-def test_a_parameter_that_px4_does_not_know_keeps_its_default_and_is_said(bench: Bench) -> None:
-    bench.script.insert(-1, "forget TPI_DAMPER_KI")
-    mode(bench)
-    bench.parameter("TPI_DAMP_GAINS_0", 1.5)
-    bench.publish("parameter_update")
-    fly(bench, 5)
-    events = bench.run()
+def test_a_parameter_that_px4_does_not_know_keeps_its_default_and_is_said(started: Bench) -> None:
+    started.script.insert(-1, "forget TPI_DAMPER_KI")
+    mode(started)
+    started.parameter("TPI_DAMP_GAINS_0", 1.5)
+    started.publish("parameter_update")
+    fly(started, 5)
+    events = started.run()
     assert "TPI_DAMPER_KI is missing in PX4" in events.told()
     rows = events.topic("twodof_pitch")
     assert_flown(rows, {0: {"damper.gains": [1.5, 0.08]}})
 
 
-def test_all_parameters_show_up_once_it_has_started(bench: Bench) -> None:
-    assert bench.run().used() == {row.name for row in bench.module.parameters}
+def test_all_parameters_show_up_once_it_has_started(started: Bench) -> None:
+    assert started.run().used() == {row.name for row in started.module.parameters}

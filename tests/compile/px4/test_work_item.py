@@ -31,7 +31,6 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.long
 def test_a_flight_gives_the_hosts_outputs_bit_for_bit(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 500)
     rows = bench.run().topic("twodof_pitch")
     assert len(rows) == 500
@@ -45,7 +44,6 @@ def test_a_flight_gives_the_hosts_outputs_bit_for_bit(bench: Bench) -> None:
 
 
 def test_thrust_is_published_before_the_torque_which_is_scaled_for_the_allocator(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 3)
     events = bench.run()
     order = [what for what, _ in events.rows if what in ("vehicle_thrust_setpoint", "vehicle_torque_setpoint")]
@@ -60,7 +58,6 @@ def test_thrust_is_published_before_the_torque_which_is_scaled_for_the_allocator
 
 @pytest.mark.parametrize("every", [1000, 1250, 2500, 3003, 4001])
 def test_a_gyro_of_any_rate_gives_250_steps_a_second(bench: Bench, every: int) -> None:
-    mode(bench)
     fly(bench, 2_000_000 // every, every=every)
     rows = bench.run().topic("twodof_pitch")
     span = int(rows["timestamp_sample"][-1] - rows["timestamp_sample"][0])
@@ -69,7 +66,6 @@ def test_a_gyro_of_any_rate_gives_250_steps_a_second(bench: Bench, every: int) -
 
 
 def test_periods_without_a_sample_are_counted(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 10)
     bench.at(bench.now + 2 * PERIOD)  # two samples are lost
     fly(bench, 10)
@@ -78,14 +74,14 @@ def test_periods_without_a_sample_are_counted(bench: Bench) -> None:
     assert list(rows["tick"]) == list(range(20))
 
 
-def test_disarmed_or_without_rate_control_it_commands_nothing(bench: Bench) -> None:
-    mode(bench, armed=False)
-    fly(bench, 20)
-    mode(bench, armed=True)
-    fly(bench, 20)
-    mode(bench, rates=False)  # the field is another's
-    fly(bench, 5)
-    events = bench.run()
+def test_disarmed_or_without_rate_control_it_commands_nothing(started: Bench) -> None:
+    mode(started, armed=False)
+    fly(started, 20)
+    mode(started, armed=True)
+    fly(started, 20)
+    mode(started, rates=False)  # the field is another's
+    fly(started, 5)
+    events = started.run()
     rows, torque = events.topic("twodof_pitch"), events.topic("vehicle_torque_setpoint")
     assert not rows["active"][:20].any()
     assert rows["active"][20:40].all()
@@ -99,7 +95,6 @@ def test_disarmed_or_without_rate_control_it_commands_nothing(bench: Bench) -> N
 
 
 def test_a_stale_attitude_stops_the_motors_and_the_controller_starts_again(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 10)
     for _ in range(20):  # 80 ms without an attitude, of which 50 are forgiven
         bench.at(bench.now + PERIOD)
@@ -118,7 +113,6 @@ def test_a_stale_attitude_stops_the_motors_and_the_controller_starts_again(bench
 
 @pytest.mark.parametrize("what", ["gyro", "attitude"])
 def test_a_measurement_that_is_not_finite_stops_the_motors(bench: Bench, what: str) -> None:
-    mode(bench)
     fly(bench, 5)
     bench.at(bench.now + PERIOD)
     bench.publish("vehicle_attitude", q=[math.nan] * 4 if what == "attitude" else quaternion(0.0))
@@ -132,7 +126,6 @@ def test_a_measurement_that_is_not_finite_stops_the_motors(bench: Bench, what: s
 
 
 def test_a_silent_gyro_stops_the_motors(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     for _ in range(10):
         bench.at(bench.now + 5 * PERIOD)
@@ -146,7 +139,6 @@ def test_a_silent_gyro_stops_the_motors(bench: Bench) -> None:
 
 
 def test_a_missing_set_point_is_replaced_and_said(bench: Bench) -> None:
-    mode(bench)
     fly(bench, 5)
     fly(bench, 5, theta_0=math.nan)
     rows = bench.run().topic("twodof_pitch")
@@ -155,11 +147,11 @@ def test_a_missing_set_point_is_replaced_and_said(bench: Bench) -> None:
     assert rows["active"].all()
 
 
-def test_in_rate_mode_the_rate_set_point_is_read(bench: Bench) -> None:
-    mode(bench, attitude=False)
-    bench.publish("vehicle_rates_setpoint", pitch=0.7, thrust_body=[0.0, 0.0, -0.5])
-    fly(bench, 5)
-    events = bench.run()
+def test_in_rate_mode_the_rate_set_point_is_read(started: Bench) -> None:
+    mode(started, attitude=False)
+    started.publish("vehicle_rates_setpoint", pitch=0.7, thrust_body=[0.0, 0.0, -0.5])
+    fly(started, 5)
+    events = started.run()
     rows = events.topic("twodof_pitch")
     assert np.array_equal(rows["in_q_0"], np.full(5, np.float32(0.7)))
     assert not rows["in_flag_attitude_enabled"].any()
