@@ -143,6 +143,8 @@ class Pair:
 
 PAIRS = [
     Pair("ADRC", "f09f371", "19dd53b", "1.976"),
+    Pair("Base", "f217475", "8f7d94f", "1.885"),
+    Pair("Base", "9cbc49f", "af5eb63", "1.965"),
     Pair("Boat", "f09f371", "19dd53b", "1.1188", 0.01),
     Pair("Car", "f09f371", "19dd53b", "1.1151", 0.01),
     Pair("FW", "f09f371", "19dd53b", "1.1112"),
@@ -171,14 +173,14 @@ def controller(one: Pair, made: Path) -> Imported:
     buses, library = (taken(repository, one.model, name, made) for name in ("bus", "lib"))
     folder = taken(repository, one.model, f"model/Controller/{one.name}-Controller", made)
     names: dict[str, Value] = {}
-    for script in (*sorted(buses.glob("*.m")), folder / "controller_model_init.m"):
+    for script in (*sorted(buses.glob("*.m")), *sorted(folder.glob("*_init.m"))):
         read_workspace(script, names)
     model = read_model(folder / "Controller.slx")
     assert model.version == one.version
     return import_system(model, "", names, [folder, library, buses / "enum"], one.period)
 
 
-@pytest.mark.parametrize("one", PAIRS, ids=[one.name for one in PAIRS])
+@pytest.mark.parametrize("one", PAIRS, ids=[f"{one.name} {one.version}" for one in PAIRS])
 def test_a_controller_of_firmament_has_the_bits_of_mathworks_c(tmp_path: Path, one: Pair) -> None:
     """2,000 steps of outputs and of all states that have one here."""
     folder = f"src/model/control/{one.name.lower()}_controller/lib"

@@ -330,6 +330,8 @@ def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
          INT8 + 128 > 7),
         (("CompareToConstant", {"relop": "==", "const": "[2 5]"}), ("uint8",), (INT8 + 128,),
          (INT8 + 128)[:, None] == [2, 5]),
+        (("Switch", {"Criteria": "u2 > Threshold", "Threshold": "9"}), ("uint16", "int8", "uint32"),
+         (INT8 + 128, OTHER, (OTHER + 128) << 20), np.where(OTHER > 9, INT8 + 128, (OTHER + 128) << 20)),
         (("DiscreteIntegrator", {"IntegratorMethod": "Accumulation: Forward Euler", "InitialCondition": "7"}),
          ("uint32",), ((INT8 + 128) << 24,), wrapped(7 + np.r_[0, np.cumsum((INT8 + 128) << 24)[:-1]], "uint32")),
         (("Bitwise Operator", {"logicop": "XOR", "BitMask": "85"}), ("uint8",), (INT8 + 128,), (INT8 + 128) ^ 85),

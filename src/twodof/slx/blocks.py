@@ -16,7 +16,7 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.expressions.expr import convert, where
-from twodof.blocks.expressions.numbers import INTEGERS, KINDS, STORED
+from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, KINDS, STORED
 from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.blocks.library import (
     CompareToConstant,
@@ -156,7 +156,9 @@ def _demux(c: Asked) -> Made:
 def _switch(c: Asked) -> Made:
     """Compute the criterion of the second input beside the choice between the first and the third."""
     first, control, third = c.inputs
-    mixed = {first.kind, third.kind} == {"real", "bool"}  # the boolean becomes 0 or 1
+    kinds = {str(first.kind), str(third.kind)}
+    whole = len(kinds) == 2 and kinds <= set(INTEGERS) and len({kind[0] for kind in kinds}) == 1
+    mixed = whole or kinds == {"real", "bool"}  # the boolean becomes 0 or 1, of whole numbers the wider type is kept
     alike = mixed or replace(first, width=None).like(replace(third, width=None))
     if not alike or isinstance(control.kind, Bus) or (control.width is not None and mixed):
         raise NotTranslated(f"its inputs are {first} and {third}, and the control {control}")
@@ -169,7 +171,9 @@ def _switch(c: Asked) -> Made:
             c, lambda t, a, u, b: where(COMPARISONS[operation](convert(u, exact), threshold), a, b), first.number
         )
     c.inputs = [first, third]
-    width, kind = c.width, "real" if mixed else first.kind
+    width, kind = c.width, first.kind
+    if mixed:
+        kind = max(kinds, key=lambda one: BY_NAME[one].high) if whole else "real"
     d = Diagram("switch")
     d.input("u1", first.kind, first.width)
     condition = d.input("u2", control.kind)
@@ -185,8 +189,8 @@ def _switch(c: Asked) -> Made:
     sources = {}
     for name, one in (("u1", first), ("u3", third)):
         source = name
-        if mixed and one.kind == "bool":
-            source = d.add(f"{name}_real", Convert("bool", "real", width=one.width), u=name)
+        if one.kind != kind:
+            source = d.add(f"{name}_{kind}", Convert(str(one.kind), kind, width=one.width), u=name)
         sources[name] = expanded(d, source, replace(one, kind=kind), width)
     d.add("y", Switch(kind, width), condition=condition, a=sources["u1"], b=sources["u3"])
     d.output("y", "y")
