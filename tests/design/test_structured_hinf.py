@@ -135,6 +135,7 @@ def test_refuses_with_a_remedy() -> None:
         lambda: structured_hinf(lambda x: [unstable], [np.array([math.nan])], *one),
         lambda: structured_hinf(lambda x: [unstable], [np.ones(1)], *one),
         lambda: structured_hinf(lambda x: [unstable], [np.ones(2)], *one),
+        lambda: structured_hinf(lambda x: [unstable], [np.ones(1)], PERIOD, np.ones(1), np.ones(1)),
         lambda: hinf_norm(np.ones((2, 2)), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))),
         lambda: hinf_norm(*(math.nan * np.ones((1, 1)) for _ in range(4))),
         lambda: check(Specification(overshoot=0.1), SampledController.of(pid_attitude()), FAMILY),
