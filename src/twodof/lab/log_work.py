@@ -103,7 +103,8 @@ def view(
     try:
         found = flight_view(log, topics, window)
     except LogError:
-        if topics or (window is not None and not _overlaps(log, window)):
+        start, end = log.span
+        if topics or (window is not None and not (window[0] < window[1] and start < window[1] and window[0] < end)):
             raise
         found = flight_view(log, [*log][:_FIRST_CHANNELS], window)  # a log of others
     own = tuple(signals_panel(log, panel.splitlines()[:MOST_SIGNALS], window) for panel in panels)
@@ -180,11 +181,6 @@ def recovered(path: str, target: str) -> dict[str, Any]:
     found = recover(path)
     found.write(target)
     return {"samples": found.samples, "what": list(found.what)}
-
-
-def _overlaps(log: FlightLog, window: tuple[float, float]) -> bool:
-    start, end = log.span
-    return window[0] < window[1] and window[1] > start and window[0] < end
 
 
 def _told(found: FlightView, points: int) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event
-from types import FrameType, MappingProxyType
+from types import MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from twodof.errors import DiagramError, Rejected, Timeout, TwodofError
@@ -67,7 +67,7 @@ def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> N
     else:
         os.setsid()
     if not background:
-        signal.signal(signal.SIGTERM, _end)
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     os.nice(NICENESS * nice)
     with open(os.devnull, "w") as nothing:  # noqa: PTH123  the server's parent waits for the end of its output
@@ -98,10 +98,6 @@ def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> N
             work, arguments, reports = talk.recv()
         except (EOFError, OSError):  # the server has ended
             return
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    sys.exit(0)
 
 
 class _WorkProcess:

@@ -68,9 +68,6 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-_ANYWHERE = ("0.0.0.0", "::")
-
-
 class Tokens(NamedTuple):
     """Tokens for commanding and for watching; "" for none."""
 
@@ -89,7 +86,7 @@ def drawn_tokens(host: str, command: str = "", watch: str = "", always: bool = F
 
 def links(settings: LabSettings, port: int) -> dict[str, str]:
     """Return the links of a server at `port`, to command and to watch, with their tokens."""
-    host = socket.gethostname() if settings.host in _ANYWHERE else settings.host
+    host = socket.gethostname() if settings.host in ("0.0.0.0", "::") else settings.host
     base = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
     command = f"?token={settings.command_token}" if settings.command_token else ""
     return {"command": base + command, "watch": f"{base}?token={settings.watch_token}" if settings.watch_token else ""}

@@ -247,8 +247,6 @@ def _in_words(reason: TwodofError) -> str:
 
 
 def _window(begin: float | None, end: float | None) -> tuple[float, float] | None:
-    if begin is None or end is None:
-        if begin is not None or end is not None:
-            raise LogError("one end of the window is missing", "begin, end", "give both, or none")
-        return None
-    return begin, end
+    if (begin is None) != (end is None):
+        raise LogError("one end of the window is missing", "begin, end", "give both, or none")
+    return None if begin is None or end is None else (begin, end)
