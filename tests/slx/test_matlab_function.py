@@ -313,7 +313,7 @@ def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:
     d.output("y", "f.y")
     got = build(from_json(to_json(d)), dt=0.01).machine().run(3, {"u": np.array([2.0, 4.0, 0.0])})
     assert got["y"].tolist() == [2.0, 3.5, 2.25]
-    with pytest.raises(DiagramError, match=r"line 2: script is not computed"):
+    with pytest.raises(DiagramError, match=r"line 2: script.m: there is no function in it"):
         MatlabFunction("function y = f(u)\ny = script(u);", [REAL], folders=[tmp_path])
     with pytest.raises(DiagramError, match="line 2: other is not computed"):
         MatlabFunction("function y = f(u)\ny = other(u);", [REAL], folders=[tmp_path])

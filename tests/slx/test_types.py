@@ -618,3 +618,23 @@ def test_a_selector_takes_places_from_its_input_or_from_a_start(tmp_path: Path) 
     assert np.array_equal(y["b"], np.stack([u[rows, k], u[rows, k + 1]], 1))
     assert np.array_equal(y["c"], u)
     assert np.array_equal(y["d"], u[:, 2:])
+
+
+def test_vectors_of_single_beside_double_stay_single(tmp_path: Path) -> None:
+    """A Mux, a Demux, a Selector and a Gain of a vector round as float32 in a model that has doubles too."""
+    blocks = [
+        ("Inport", "c", {"OutDataTypeStr": "single", "PortDimensions": "3"}),
+        ("Inport", "a", {"OutDataTypeStr": "single", "Port": "2"}),
+        ("Inport", "b", {"OutDataTypeStr": "double", "Port": "3"}),
+        ("Mux", "join", {"Inputs": "2", "Ports": "[2, 1]"}),
+        ("Demux", "part", {"Outputs": "[2 2]", "Ports": "[1, 2]"}),
+        ("Selector", "swap", {"Indices": "[2 1]"}),
+        ("Gain", "gains", {"Gain": "[.1 .2]"}),
+        *((("Outport", f"y{k}", {"Port": str(k)})) for k in range(1, 4)),
+    ]
+    lines = [("c", "join:1"), ("a", "join:2"), ("join", "part"), ("part:1", "swap"), ("part:2", "gains")]
+    found = imported(tmp_path, blocks, [*lines, ("swap", "y1"), ("gains", "y2"), ("b", "y3")])
+    c, a = DRAWN.T.astype(np.float32), DRAWN[0].astype(np.float32)
+    y = flown(found, {"c": c, "a": a, "b": DRAWN[1]})
+    assert np.array_equal(y["y1"], c[:, [1, 0]])
+    assert np.array_equal(y["y2"], np.stack([c[:, 2], a], 1) * np.array([0.1, 0.2], np.float32))

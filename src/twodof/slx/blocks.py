@@ -15,11 +15,13 @@ import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
+from twodof.blocks.elementwise import port_series
 from twodof.blocks.expressions.expr import convert, where
 from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, KINDS, STORED
 from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.blocks.library import (
     CompareToConstant,
+    Concatenate,
     Constant,
     Convert,
     DeadZone,
@@ -35,11 +37,13 @@ from twodof.blocks.library import (
     Product,
     Remainder,
     Rounding,
+    Selector,
     Sign,
     Sum,
     SumOfElements,
     Switch,
     Trigonometry,
+    ZeroOrderHold,
 )
 from twodof.blocks.library.logic import COMPARISONS
 from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
@@ -89,8 +93,19 @@ def _gain(c: Asked) -> Made:
     c.kind("real")
     if gain.size == 1:
         return same(c, Gain(float(gain.flat[0]), c.width))
+    if mode.startswith("Element"):
+        if 1 not in gain.shape or c.width not in (None, gain.size):
+            raise NotTranslated(f"Gain has {gain.size} elements and the input {c.width or 1}")
+        if c.width is None:
+            return Made(MatrixGain([[float(k)] for k in gain.flatten()]), [Signal("real", gain.size)])
+        d = Diagram("gains")
+        d.input("u", width=gain.size)
+        d.add("k", Constant([float(k) for k in gain.flatten()], width=gain.size))
+        d.add("y", Product("**", gain.size), a="k", b="u")
+        d.output("y", "y")
+        return Made(d, [Signal("real", gain.size)])
     if mode not in ("Matrix(K*u)", "Matrix(K*u) (u vector)"):
-        return matrix(c, MATRIX_LINES["Gain"])
+        raise NotTranslated(f"Multiplication = {mode!r} is not translated")
     if gain.shape[1] != (c.width or 1):
         raise NotTranslated(f"Gain is {gain.shape[0]} by {gain.shape[1]} and the input has {c.width or 1} elements")
     return Made(MatrixGain(gain.tolist()), [Signal("real", None if gain.shape[0] == 1 else gain.shape[0])])
@@ -131,10 +146,26 @@ def _product(c: Asked) -> Made:
 
 
 def _mux(c: Asked) -> Made:
-    kind, count = c.kind(*KINDS), len(c.inputs)
-    if count == 1 or any(one.width for one in c.inputs):
-        return matrix(c, MATRIX_LINES["Concatenate"])
-    return Made(Mux(count, kind), [Signal(kind, count)], expand=False)
+    kind = c.kind(*KINDS)
+    widths = [one.width for one in c.inputs]
+    total = Signal(kind, sum(width or 1 for width in widths))
+    if len(widths) == 1:
+        return Made(ZeroOrderHold(kind, widths[0]), [Signal(kind, widths[0])])
+    if None not in widths:
+        return Made(Concatenate([width or 1 for width in widths], kind), [total], expand=False)
+    if not any(widths):
+        return Made(Mux(len(widths), kind), [total], expand=False)
+    d, elements = Diagram("mux"), list[str]()
+    for k, width in enumerate(widths, start=1):
+        d.input(f"u{k}", kind, width)
+        if width is None:
+            elements.append(f"u{k}")
+            continue
+        d.add(f"split{k}", Demux(width, kind), u=f"u{k}")
+        elements += [f"split{k}.{name}" for name in port_series(width)]
+    d.add("y", Mux(len(elements), kind), inputs=dict(zip(port_series(len(elements)), elements, strict=True)))
+    d.output("y", "y")
+    return Made(d, [total], expand=False)
 
 
 def _demux(c: Asked) -> Made:
@@ -148,9 +179,31 @@ def _demux(c: Asked) -> Made:
         raise NotTranslated(f"Outputs = {c.text('Outputs', '4')} does not fit an input of {width} elements")
     if all(size == 1 for size in sizes) and width > 1:
         return Made(Demux(width, kind), [Signal(kind)] * width)
-    ends = np.cumsum(sizes).tolist()
-    parts = [f"y{k} = u1({end - n + 1}:{end});" for k, (n, end) in enumerate(zip(sizes, ends, strict=True), start=1)]
-    return matrix(c, lambda c: ("\n".join(parts), {}), count)
+    d, first = Diagram("demux"), 0
+    d.input("u", kind, width)
+    for k, size in enumerate(sizes):
+        d.add(f"part{k + 1}", Selector(width, list(range(first, first + size)), kind), u="u")
+        d.output(f"y{k + 1}", f"part{k + 1}")
+        first += size
+    return Made(d, [Signal(kind, None if size == 1 else size) for size in sizes])
+
+
+def _selector(c: Asked) -> Made:
+    options = c.text("IndexOptions", c.text("IndexOptionArray", "Index vector (dialog)"))
+    if c.text("NumberOfDimensions", "1") != "1" or options not in ("Index vector (dialog)", "Select all"):
+        return matrix(c, MATRIX_LINES["Selector"])
+    kind, width = c.kind(*KINDS), c.inputs[0].width or 1
+    base = 0 if c.text("IndexMode", "One-based") == "Zero-based" else 1
+    said = c.values.get("Indices", c.values.get("IndexParamArray", c.values.get("Elements", "1")))
+    c.values["Indices"] = said.strip("{}") or "1"
+    indices = (
+        [int(k) - base for k in c.value("Indices", "1").flatten()] if options != "Select all" else list(range(width))
+    )
+    if min(indices) < 0 or max(indices) >= width:
+        raise NotTranslated(f"Indices reach beyond an input of {width} elements")
+    if width == 1:
+        return Made(ZeroOrderHold(kind), [Signal(kind)])
+    return Made(Selector(width, indices, kind), [Signal(kind, None if len(indices) == 1 else len(indices))])
 
 
 def _switch(c: Asked) -> Made:
@@ -297,6 +350,7 @@ RULES: dict[str, Rule] = {
     "Product": _product,
     "RateTransition": holds,
     "Rounding": _function(Rounding, {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}),
+    "Selector": _selector,
     "SignalSpecification": passes,
     "Signum": lambda c: same(c, Sign(c.kind("real"), c.width)),
     "Sqrt": _function(Elementary, {"sqrt": "sqrt"}),

@@ -22,14 +22,15 @@ Line = Callable[[Asked], tuple[str, dict[str, Value]]]
 """What a block is in MATLAB: statements that give y, and values that they use by name."""
 
 
-def matrix(c: Asked, line: Line, outputs: int = 1) -> Made:
-    """Return the block of a line of MATLAB, which gives y, or y1, y2, ... of several outputs."""
+def matrix(c: Asked, line: Line) -> Made:
+    """Return the block of a line of MATLAB."""
     if any(isinstance(one.kind, Bus) for one in c.inputs):
         raise NotTranslated("a matrix of buses is not translated")
+    if any(one.kind == "float32" for one in c.inputs):
+        raise NotTranslated("a matrix of single beside double is not translated")
     text, values = line(c)
     names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
-    results = ", ".join(f"y{k}" for k in range(1, outputs + 1)) if outputs > 1 else "y"
-    code = f"function [{results}] = f({', '.join([*names, *values])})\n{text}"
+    code = f"function y = f({', '.join([*names, *values])})\n{text}"
     item = MatlabFunction(code, c.inputs, values, names)
     return Made(item, [signal_of(port) for port in item.outputs], expand=False)
 
@@ -62,12 +63,7 @@ def _gain(c: Asked) -> tuple[str, dict[str, Value]]:
     c.kind("real")
     texts = {"Element-wise(K.*u)": "K.*u1", "Matrix(u*K)": "u1*K"}
     texts |= dict.fromkeys(("Matrix(K*u)", "Matrix(K*u) (u vector)"), "K*u1")
-    gain, text = c.value("Gain", "1").astype(float), c.pick("Multiplication", "Element-wise(K.*u)", texts)
-    if c.inputs[0].shape is None and "." in text:  # a row is a vector here
-        gain = gain.reshape(-1, 1) if 1 in gain.shape else gain
-        if min(gain.shape) > 1 < (c.width or 1) or c.width not in (None, 1, gain.size):
-            raise NotTranslated(f"Gain has {gain.size} elements and the input {c.width or 1}")
-    return f"y = {text};", {"K": gain}
+    return f"y = {c.pick('Multiplication', 'Element-wise(K.*u)', texts)};", {"K": c.value("Gain", "1").astype(float)}
 
 
 def _math(c: Asked) -> tuple[str, dict[str, Value]]:

@@ -5,7 +5,6 @@ Where a condition is a signal both branches are carried out, and each name gets 
 does not hold. Loops have constant ranges and are written out.
 """
 
-import re
 from collections import Counter
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
@@ -40,7 +39,6 @@ from twodof.slx.matlab.values import (
     stored,
 )
 
-FUNCTION_HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
 DEEPEST_CALLS, DEEPEST_BLOCKS = 20, 50
 EMPTY = np.zeros((0, 0))
 _OPENING = {"if", "for", "parfor", "while", "switch", "try", "function"}
@@ -127,10 +125,7 @@ class Code:
             self.files[name] = None
             if path is not None:
                 try:
-                    text = fence.read(script_text, path)[0]
-                    if FUNCTION_HEAD.match(text) is None:  # a script or a class
-                        return None
-                    made = Code(text, self.folders)
+                    made = Code(fence.read(script_text, path)[0], self.folders)
                 except LogError as reason:
                     raise NotComputed(str(reason)) from None
                 except NotComputed as reason:

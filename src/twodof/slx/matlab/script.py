@@ -18,10 +18,11 @@ from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
 from twodof.flightlog.fence import Answer
 from twodof.slx.matlab.evaluation import SILENT, Evaluation, assigned_by, next_statement, script_text
-from twodof.slx.matlab.program import EMPTY, FUNCTION_HEAD, Code, NotTranslatedLine, Program
+from twodof.slx.matlab.program import EMPTY, Code, NotTranslatedLine, Program
 from twodof.slx.matlab.values import Array, NotComputed, Value
 
 DEEPEST_SCRIPTS = 5
+_HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
 _NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
 _FILE = re.compile(r"[\w-][\w. -]{0,100}\.(?:m|mat)")
 
@@ -103,7 +104,7 @@ def run(
     A file of a function gives what it assigns in the base workspace, as scripts that define buses do.
     """
     own = workspace
-    if (head := FUNCTION_HEAD.match(code)) is not None:
+    if (head := _HEAD.match(code)) is not None:
         body = re.sub(r"^\s*end\s*\Z", "", _NEXT_FUNCTION.split(code[head.end() :])[0], flags=re.MULTILINE)
         own, code = {"nargin": np.zeros((1, 1))}, "\n" * code[: head.end()].count("\n") + body
     evaluation = Evaluation(own)
