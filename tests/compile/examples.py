@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Diagram, Param, Port, State, array_of, int32, maximum, minimum, store, vector, where
+from twodof.blocks import Block, Diagram, Param, Port, State, int32, maximum, minimum, store, where
 from twodof.blocks.elementary.functions import sin
 from twodof.blocks.library import FractionalDelay, Gain, Integrator, Sum, UnitDelay, ZeroOrderHold
 
@@ -81,19 +81,6 @@ class Ring(Block):
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         last = x.at == self.length - 1
         return {"ring": store(x.ring, x.at, u.u), "at": where(last, int32(0), x.at + 1)}
-
-
-class Rotate(Block):
-    """Two arrays that change places and turn by one element: each next value reads old ones."""
-
-    outputs = (Port("a", width=3), Port("b", width=3))
-    states = (State("a", [1.0, 2.0, 3.0], width=3), State("b", [4.0, 5.0, 6.0], width=3))
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {"a": x.a, "b": vector([x.b[0], x.b[1], x.b[2]])}
-
-    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {"a": x.b, "b": array_of(3, lambda i: x.a[(i + 1) % 3])}
 
 
 class Positive(Block):

@@ -76,12 +76,9 @@ def test_an_input_keeps_its_value() -> None:
 @pytest.mark.parametrize(
     ("call", "error"),
     [
-        (lambda m: m.step({"nobody": 1.0}), DiagramError),
         (lambda m: m.step({"r": "1"}), DiagramError),
         (lambda m: m.run(3, {"r": [1.0, 2.0]}), DiagramError),
         (lambda m: m.run(3, {"r": ["a", "b", "c"]}), DiagramError),
-        (lambda m: m.state("sum.nothing"), DiagramError),
-        (lambda m: m.set_state("nothing.sum", 0.0), DiagramError),
         (lambda m: m.get("nothing"), ParameterError),
     ],
 )

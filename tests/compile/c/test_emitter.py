@@ -85,9 +85,8 @@ def test_reading_what_was_stored_costs_what_is_written() -> None:
     assert large < 2.2 * small  # twice, and names that are a digit longer
 
 
-@pytest.mark.parametrize("count", [4, 5])  # up to MOST_CHOICES, and more
-def test_reading_what_was_stored_gives_the_same_bits(count: int) -> None:
-    compiled, judge = build(stores(count), 0.01).machine(), Reference(stores(count), 0.01).machine()
+def test_reading_what_was_stored_gives_the_same_bits() -> None:
+    compiled, judge = build(stores(5), 0.01).machine(), Reference(stores(5), 0.01).machine()
     places = [*range(-3, 24), 2**31 - 1, -(2**31), *range(19)]
     assert compiled.run(len(places), {"i": places})["y"].tolist() == [judge.step({"i": i})["y"] for i in places]
 

@@ -201,7 +201,7 @@ class _Emitter:
         return Function("void", f"{self.prefix}_prepare", (f"{self.prefix}_P *p",), renderer.out, "prepare")
 
     def _init(self) -> Function:
-        body: list[Statement] = [Call("(void)memset(s, 0, sizeof *s);", reads=frozenset(("s",)))]
+        body: list[Statement] = [Call("(void)memset(s, 0, sizeof *s);", reads=frozenset("s"))]
         for node in self.program.nodes:
             body += self.scope.initial(node, zeroed=True)
         for signal, member in self.layout.stored.items():
@@ -222,7 +222,7 @@ class _Emitter:
         if integration:
             integration.commit()
         out = step.renderer.out
-        out.append(Call("s->tick += 1u;", role="next tick", reads=frozenset(("s",))))
+        out.append(Call("s->tick += 1u;", role="next tick", reads=frozenset("s")))
         name = f"{self.prefix}_step" if self.lean else f"{self.prefix}_advance"
         result = "void" if self.lean else "td_inline void"
         return Function(result, name, self._parameters(), [*step.due(), *out], "step")

@@ -29,11 +29,6 @@ class Operator:
     binding: int = ATOM
     helper: str = ""
 
-    @property
-    def arity(self) -> int:
-        """Number of operands."""
-        return sum(f"{{{i}}}" in self.text for i in range(3))
-
 
 def called(name: str, operands: int, helper: str = "") -> Operator:
     """Return the operator that calls the C function `name` with `operands` arguments."""

@@ -84,7 +84,7 @@ class Scope:
         for state in node.block.states:
             target = self.state(node, state.name)
             if isinstance(state.initial, str):
-                source, reads = self.given(node, state.initial), frozenset(("p",))
+                source, reads = self.given(node, state.initial), frozenset("p")
                 made.append(stored(target, source, state.kind, state.width, node, reads))
             else:
                 made += self.fill(target, state.initial, state, node, zeroed)

@@ -60,7 +60,7 @@ class StepEmitter:
             due = f"s->tick % {rate.divider}u == {rate.offset}u"
             if rate.divider >= TICKS:  # sub-diagrams multiply their rates
                 due = f"s->tick == {rate.offset}u" if rate.offset < TICKS else "false"
-            made.append(Assign(self._due[rate], due, "const bool", role="rates", reads=frozenset(("s",))))
+            made.append(Assign(self._due[rate], due, "const bool", role="rates", reads=frozenset("s")))
         return made
 
     def tests(self, guard: Guard) -> list[Text]:

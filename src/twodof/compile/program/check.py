@@ -1,6 +1,7 @@
 """Checks of a diagram: all problems at once, remarks on a diagram that compiles, and its size."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,11 +79,9 @@ def check(diagram: Diagram, dt: float) -> Findings:
         if str(error) not in {str(p) for p in problems[-50:]}:
             problems.append(error)
 
-    try:
+    with suppress(_Enough):
         flat = FlatDiagram(diagram, report)
         ordered = flat.ordered()
-    except _Enough:
-        return Findings(tuple(problems))
     if problems:
         return Findings(tuple(problems))
     program = lower(diagram, dt)

@@ -78,6 +78,12 @@ def inputs_of(node: Node, roots: Iterable[Expr]) -> set[FlatSignal]:
     return {node.drivers[name] for name in leaves(roots, "input")}
 
 
+def _read_by(signal: FlatSignal) -> set[FlatSignal]:
+    """Return the signals that the expression of a signal reads."""
+    node = node_of(signal)
+    return inputs_of(node, [node.trace.outputs[signal.port]])
+
+
 def _stage(integrated: Sequence[Node], ordered: Sequence[FlatSignal], moving: set[FlatSignal]) -> list[FlatSignal]:
     """Return the continuous outputs that the derivatives depend on, in order; edged ones are given, not computed."""
     needed = {s for n in integrated for s in inputs_of(n, n.trace.derivative.values())}
@@ -85,7 +91,7 @@ def _stage(integrated: Sequence[Node], ordered: Sequence[FlatSignal], moving: se
     for s in reversed(ordered):
         if s in needed and s in moving and s.port not in node_of(s).trace.edges:
             chosen.append(s)
-            needed |= inputs_of(node_of(s), [node_of(s).trace.outputs[s.port]])
+            needed |= _read_by(s)
     return chosen[::-1]
 
 
@@ -93,9 +99,7 @@ def _read_inside(
     integrated: Iterable[Node], stage: Iterable[FlatSignal], moving: Container[FlatSignal]
 ) -> list[FlatSignal]:
     """Return the signals of the tick that the integration reads; a disabled block's outputs are those of the tick."""
-    read = set().union(*(inputs_of(n, n.trace.derivative.values()) for n in integrated))
-    for s in stage:
-        read |= inputs_of(node_of(s), [node_of(s).trace.outputs[s.port]])
+    read = set().union(*(inputs_of(n, n.trace.derivative.values()) for n in integrated), *map(_read_by, stage))
     return [s for s in read if s not in moving or node_of(s).guard.enables]
 
 
