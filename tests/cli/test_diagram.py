@@ -191,9 +191,9 @@ def test_linearize_names_states_and_inputs_without_effect(tmp_path: Path, shell:
     file.write_text(to_json(d))
     out = shell(["diagram", "linearize", str(file)]).out
     assert "x[k+1], one step is 0.004 s; 6 states, 2 inputs, 2 outputs" in out
-    assert "plant.past[k-1]  " in out
+    assert "plant.past_M[k-1]  " in out
     assert "\\[" not in out
-    assert "left out: plant.past, 60 elements (nothing depends on it)" in out
+    assert "left out: plant.past_M, 60 elements (nothing depends on it)" in out
     assert "remark: spare: this input has no effect on any output" in out
 
 
