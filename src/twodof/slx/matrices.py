@@ -18,6 +18,8 @@ from twodof.slx.translation import Asked, Made, NotTranslated
 
 _BETWEEN = re.compile(r",(?![^\[(]*[\])])")
 """A comma between expressions, outside brackets."""
+MOST_PLACES = 10_000
+"""Most pairs of an element and a place that a signal says."""
 Line = Callable[[Asked], tuple[str, dict[str, Value]]]
 """What a block is in MATLAB: statements that give y, and values that they use by name."""
 
@@ -118,6 +120,8 @@ def _selector(c: Asked, result: str = "y = u1({});", port: int = 2) -> tuple[str
             values[name] = c.value(f"Indices{k}", "1").astype(float) + span
             indices.append(name)
         else:
+            if (size := (c.inputs[0].width or 1)) * max(one.width or 1 for one in c.inputs[1:]) > MOST_PLACES:
+                raise NotTranslated(f"IndexOptions = {option!r} of {size} elements is not translated")
             values[name] = span
             indices.append(f"double(u{port}) + {name}")
             port += 1
