@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.declarations import Param
+from twodof.blocks.declarations import Param, State, check_steps
 from twodof.blocks.machine import axes
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.machine import CompiledMachine, CompiledProgram
@@ -18,9 +18,10 @@ Values = NDArray[Any]
 class Instances:
     """`count` machines of `program`.
 
-    A value is the same for all `machines`, or a list or array whose first axis is the machine. Methods raise the errors
-    of a single machine, and DiagramError for values of another number of machines. Raises CompileError for a program
-    that was built without a C compiler.
+    A value is the same for all machines, or a list or array whose first axis is the machine. The first axis of returned
+    values is the machine; for `run` it is the second one, after the step. Methods raise the errors of a single machine,
+    and DiagramError for values of another number of machines. Raises CompileError for a program that was built without
+    a C compiler.
     """
 
     def __init__(self, program: CompiledProgram | Reference, count: int) -> None:
@@ -50,6 +51,21 @@ class Instances:
         """Set a parameter."""
         self.set_many({path: value})
 
+    def get(self, path: str) -> Values:
+        """Return the parameter at `path` of each machine, (machines,)."""
+        return np.array([machine.get(path) for machine in self.machines])
+
+    def state(self, path: str) -> Values:
+        """Return the state at `path` of each machine, (machines,)."""
+        return np.array([machine.state(path) for machine in self.machines])
+
+    def set_state(self, path: str, value: Any) -> None:
+        """Set a state."""
+        declared = self.program.states[path][0] if path in self.program.states else None
+        own = [self._own(value, declared, k) for k in self._places]
+        for machine, one in zip(self.machines, own, strict=True):
+            machine.set_state(path, one)
+
     def reset(self) -> None:
         """Set all machines to their initial states and to tick 0."""
         for machine in self.machines:
@@ -74,7 +90,14 @@ class Instances:
                 results[path][:, k] = column
         return results
 
-    def _own(self, value: Any, declared: Param | None, k: int) -> Any:
+    def skip(self, steps: int) -> None:
+        """Run `steps` steps with the last inputs, without keeping the outputs."""
+        steps = check_steps(steps, self.program.flat.name)
+        for machine in self.machines:
+            structs = machine.instance.structs
+            machine.instance.run(steps, structs["U"], structs["Y"])
+
+    def _own(self, value: Any, declared: Param | State | None, k: int) -> Any:
         """Return the value of machine `k`."""
         data = np.asarray(value)
         inner = () if declared is None else axes(declared)
