@@ -93,7 +93,7 @@ def _good(flight: Flight) -> Flight:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class UnknownCoverage:
     """How an unknown of `experiment` was found in `flights`: the share `covered` of its intervals that hold the truth.
 
     `p_value` is that of the exact binomial test against `LEVEL`. `claim` is the median standard deviation that a flight
@@ -134,7 +134,7 @@ class Coverage:
 COLUMNS = ("experiment", "unknown", "truth", "claim", "covered", "p", "bias/claim", "spread/claim", "")
 
 
-def coverage(rows: Sequence[Row]) -> Iterator[Coverage]:
+def coverage(rows: Sequence[Row]) -> Iterator[UnknownCoverage]:
     """Yield the coverage of each experiment's unknowns in the `rows` of a campaign with `IdentifiedByDefault`."""
     from scipy.stats import binomtest  # it takes half a second to load
 
@@ -147,14 +147,16 @@ def coverage(rows: Sequence[Row]) -> Iterator[Coverage]:
         told = [one for one in found if one["sigma"] is not None]
         truth = float(np.mean([one["true"] for one in found]))
         if not told:
-            yield Coverage(experiment, name, len(found), len(found), truth, math.nan, 0, 1.0, math.nan, math.nan, 0.0)
+            yield UnknownCoverage(
+                experiment, name, len(found), len(found), truth, math.nan, 0, 1.0, math.nan, math.nan, 0.0
+            )
             continue
         error = np.array([one["value"] - one["true"] for one in told])
         sigma = np.array([one["sigma"] for one in told])
         scaled = error / sigma
         covered = int(np.count_nonzero(np.abs(error) <= deviations(LEVEL) * sigma))
         left = median(one["sigma"] / one["prior"] if one["prior"] else 0.0 for one in told)
-        yield Coverage(
+        yield UnknownCoverage(
             experiment,
             name,
             len(found),

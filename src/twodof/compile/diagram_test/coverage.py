@@ -21,7 +21,7 @@ from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, PortOf
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.state_machine import StateMachine
 from twodof.blocks.trace import by_method, computed, trace_of
-from twodof.compile.diagram_test.run_scenarios import DT, Plan, plan, run_plan
+from twodof.compile.diagram_test.run_scenarios import DT, ScenarioPlan, plan, run_plan
 from twodof.compile.diagram_test.scenario import Scenario
 
 
@@ -96,7 +96,7 @@ def measure_coverage(
     return found
 
 
-def _of_level(level: DiagramLevel, columns: dict[str, NDArray[np.generic]], planned: Plan) -> Coverage:
+def _of_level(level: DiagramLevel, columns: dict[str, NDArray[np.generic]], planned: ScenarioPlan) -> Coverage:
     """Return the decisions over a sub-diagram, at the ticks at which it is due and the diagrams around it act."""
     zeros = np.zeros(planned.steps, dtype=bool)
 

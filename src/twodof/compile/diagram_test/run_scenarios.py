@@ -45,7 +45,7 @@ MAX_TICKS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class ScenarioPlan:
     """A scenario prepared for a diagram.
 
     `inputs` are arrays of `steps` rows in the ports' types. `claims` are the assertions and the table's expected
@@ -89,7 +89,7 @@ def run_scenarios(
     return [_judged(p, run_plan(p, program.machine()), dt) for p in plans]
 
 
-def run_plan(planned: Plan, machine: Machine) -> dict[str, NDArray[Any]]:
+def run_plan(planned: ScenarioPlan, machine: Machine) -> dict[str, NDArray[Any]]:
     """Run a scenario on a fresh machine, and return its signals by name, each of `steps` rows."""
     if planned.scenario.parameters:
         try:
@@ -101,7 +101,7 @@ def run_plan(planned: Plan, machine: Machine) -> dict[str, NDArray[Any]]:
     return machine.run(planned.steps, planned.inputs)
 
 
-def _judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> ScenarioResult:
+def _judged(planned: ScenarioPlan, signals: dict[str, NDArray[Any]], dt: float) -> ScenarioResult:
     """Judge the signals of a scenario. Raises DiagramError for a claim about a time outside it."""
     scenario, claims = planned.scenario, planned.claims
     name = scenario.name
@@ -127,7 +127,7 @@ def _with_names(judgement: Judgement, enumeration: Enumeration | None) -> Judgem
     return replace(judgement, text=text)
 
 
-def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
+def plan(diagram: Diagram, scenario: Scenario, dt: float) -> ScenarioPlan:
     """Prepare `scenario` for `diagram` at the base tick `dt` [s].
 
     Raises DiagramError for a scenario without checks, an unknown input or output, an input that is given twice, and
@@ -193,7 +193,9 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
             raise DiagramError(f"there is no output {shown(name)}", f"{scenario.name}, {what}", remedy)
     typed = {name: _typed(diagram.inputs[name], data, f"{scenario.name}, {name}") for name, data in inputs.items()}
     enumerations = {name: found for name in names if (found := enumeration_of(name)) is not None}
-    return Plan(scenario, steps, typed, claims, frozenset(n for n in names if not diagram.gives(n)), enumerations)
+    return ScenarioPlan(
+        scenario, steps, typed, claims, frozenset(n for n in names if not diagram.gives(n)), enumerations
+    )
 
 
 def _steps(scenario: Scenario, dt: float) -> int:

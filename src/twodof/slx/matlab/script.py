@@ -35,7 +35,7 @@ class Skipped:
     why: str
 
 
-class Script(Program):
+class RunningScript(Program):
     """The run of a script, which may run others and load .mat files by their names."""
 
     def __init__(self, code: Code, evaluation: Evaluation, base: MutableMapping[str, Value], depth: int) -> None:
@@ -112,7 +112,7 @@ def run(
         program = Code(code, folders, script=True)
     except NotComputed as reason:
         return [Skipped(1, str(reason))]
-    parser, tokens = Script(program, evaluation, workspace, depth), program.tokens
+    parser, tokens = RunningScript(program, evaluation, workspace, depth), program.tokens
     while parser.at < program.main.stop and "#return" not in own:
         if parser.skip(";", ",", "line"):
             continue
