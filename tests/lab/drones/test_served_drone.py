@@ -126,7 +126,7 @@ def test_the_page_flies_the_drone_as_it_is_told(drone: tuple[Served, OnBoard]) -
         state = server.ask("PUT", "/api/drones/1/setpoint", FLIES).json
         assert (state["mode"], state["setpoint"]) == ("offboard", {**FLIES, "acceleration": None})
         client.event("drone", armed=True, mode="offboard", ours_leases=True)
-        played = {"excitation": {"kind": "doublet", "amplitude": 0.02, "period": 0.2, "unit": "rad"}, "loop": "theta"}
+        played = {"excitation": {"kind": "doublet", "amplitude": 0.02, "period": 2.0, "unit": "rad"}, "loop": "theta"}
         excited = server.ask("POST", "/api/drones/1/excitation", played)
         assert excited.status == 200, excited.content
         assert server.ask("GET", "/api/drones/1").json["excitation"] == {
