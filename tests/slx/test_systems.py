@@ -429,5 +429,9 @@ def test_recorded_data_of_a_subsystem_become_inputs(tmp_path: Path) -> None:
     ]
     lines = [("Signal Builder:1", "sum:1"), ("Signal Builder:2", "sum:2"), ("log", "sum:3"), ("sum", "goto")]
     found = imported(tmp_path, blocks, [*lines, ("sum", "unused"), ("from", "y")])
+    assert found.notes == [
+        "FromFile log: its data are not read; they are the input log",
+        "FromWorkspace FromWs: its data are not read; they are the input tuvar",
+    ]
     y = flown(found, tuvar=DRAWN[:2].T.copy(), log=DRAWN[2])["y"]
     assert np.array_equal(y, (DRAWN[0] - DRAWN[1]) + DRAWN[2])

@@ -69,8 +69,11 @@ _RECORDED = {"FromWorkspace": "VariableName", "FromFile": "FileName"}
 """Sources of recorded data, with the parameter that names them."""
 
 
-def with_ports(system: System) -> System:
-    """Return a system in which recorded data are inputs, also those of its subsystems, and To Workspace outputs."""
+def with_ports(system: System, notes: list[str]) -> System:
+    """Return a system in which recorded data are inputs, also those of its subsystems, and To Workspace outputs.
+
+    `notes` gets a line for each input that is made so.
+    """
     system = with_bus_ports(system)
     blocks, lines, recorded = dict(system.blocks), list(system.lines), list[SimulinkBlock]()
     for sid, block in system.blocks.items():
@@ -81,6 +84,7 @@ def with_ports(system: System) -> System:
     for number, block in enumerate([*own, *recorded], start=count + 1):
         said, port = block.values.get(_RECORDED[block.type], ""), _port("Inport", block, number)
         port.name = said if said.isidentifier() else block.name
+        notes.append(f"{block.type} {block.name}: its data are not read; they are the input {port.name}")
         if block in recorded:
             port.sid, goto = f"{block.sid} data", f"{block.sid} goto"
             blocks[goto] = SimulinkBlock("Goto", goto, goto, {"GotoTag": goto, "TagVisibility": "global"})

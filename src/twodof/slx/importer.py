@@ -125,7 +125,7 @@ class _Import(Wiring):
         return names
 
     def run(self) -> Imported:
-        system, names = with_ports(self.model.system(self.path)), self._names_at(self.path)
+        system, names = with_ports(self.model.system(self.path), self.notes), self._names_at(self.path)
         self._collect(self.path, system, names, None)
         self.dt = self._period()
         for key, block in self.blocks.items():
