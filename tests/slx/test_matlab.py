@@ -183,6 +183,8 @@ a = 0;"""
         ("system('reboot')", "system is not computed"),
         ("eval('1')", "eval is not computed"),
         ("fopen('/etc/passwd')", "fopen is not computed"),
+        (r"sprintf('a\n')", "sprintf of a format is not computed"),
+        ("sprintf('50%%')", "sprintf of a format is not computed"),
         ("__import__('os')", "is not read"),
         ("sqrt(-1)", "complex numbers"),
         ("kron(ones(1000), ones(1000))", "kron|more than"),

@@ -467,6 +467,12 @@ def _round(array: Array) -> Array:
     return np.floor(np.abs(array) + 0.5) * np.sign(array)
 
 
+def _plain_text(text: Value) -> Value:
+    if not isinstance(text, str) or "%" in text or "\\" in text:
+        raise NotComputed("sprintf of a format is not computed")
+    return text
+
+
 def _cast(kind: Any) -> Callable[[Value], Array]:
     def cast(value: Value) -> Array:
         array = as_array(number(value))
@@ -533,7 +539,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "xor": lambda a, b: np.logical_xor(as_array(a), as_array(b)), "not": lambda a: ~as_array(a).astype(bool),
     "and": lambda a, b: np.logical_and(as_array(a), as_array(b)), "mtimes": lambda a, b: OPERATORS["*"](a, b),
     "or": lambda a, b: np.logical_or(as_array(a), as_array(b)),
-    "strcmp": lambda a, b: bool(isinstance(a, str) and a == b), "sprintf": lambda text: text,
+    "strcmp": lambda a, b: bool(isinstance(a, str) and a == b), "sprintf": _plain_text,
     "bin2dec": lambda text: float(int(text, 2)),
     "intmax": lambda k="int32": np.array([[np.iinfo(k).max]], k), "cast": lambda v, k: _cast(KINDS[k])(v),
     "intmin": lambda k="int32": np.array([[np.iinfo(k).min]], k),
