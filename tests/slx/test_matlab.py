@@ -23,6 +23,8 @@ SCRIPT = """
 A = [1 -2; 3, 4]';  % comment
 g.Kp = 2*pi; g.v(3) = 5 ...
  + 1;
+share = 1 * strcmp(sprintf('50%%'), '50%');
+short = [1 0] + (false && unknown(3) || true || [1 unknown]);
 x = A(end,:) * [1;2]
 z = eye(2)*1e-3 + diag([1 2]);
 n = numel(0:0.1:1); m = -2^2; b = 2^-1; c=[1 - 2, 3 -1]; d=~(1==2) && true; e = [g.v(1:end-1) 1]';
@@ -183,8 +185,8 @@ a = 0;"""
         ("system('reboot')", "system is not computed"),
         ("eval('1')", "eval is not computed"),
         ("fopen('/etc/passwd')", "fopen is not computed"),
-        (r"sprintf('a\n')", "sprintf of a format is not computed"),
-        ("sprintf('50%%')", "sprintf of a format is not computed"),
+        (r"sprintf('\q')", "sprintf of a value is not computed"),
+        ("sprintf('gain %d')", "sprintf of a value is not computed"),
         ("__import__('os')", "is not read"),
         ("sqrt(-1)", "complex numbers"),
         ("kron(ones(1000), ones(1000))", "kron|more than"),

@@ -236,10 +236,16 @@ def test_a_function_gives_the_buses_that_it_assigns_in_the_workspace(tmp_path: P
     assert [one.line for one in run("\nfunction define\nx = 1;\ny = load('a');", names)] == [4]
 
 
-def test_a_saved_cell_array_gives_its_buses() -> None:
+@pytest.mark.parametrize("last", ["end\n", ""])
+def test_a_saved_cell_array_gives_its_buses(last: str) -> None:
+    """Whether the function ends with its own end or with that of its last if."""
     code = """function cells = define(varargin)
     quiet = false;
-    if nargin == 1, quiet = true; end
+    if nargin == 1 && islogical(varargin{1}) && varargin{1} == false
+      quiet = true;
+    elseif nargin > 1 || (nargin == 1 && varargin{2})
+      error('no');
+    end
     cells = {{'Out', '', '', 'Auto', '-1', { ...
       {'stamp', 1, 'uint32', -1, 'real', 'Sample', 'Fixed', [], [], sprintf('ms'), ''}; ...
       {'speed', [3 1], 'single', -1, 'real', 'Sample', 'Fixed', [], [], '', ''} ...
@@ -247,9 +253,9 @@ def test_a_saved_cell_array_gives_its_buses() -> None:
     if ~quiet
       Simulink.Bus.cellToObject(cells)
     end
-    end"""
+    """
     names: dict[str, Any] = {}
-    assert run(code, names) == []
+    assert run(code + last, names) == []
     (kind,) = [kind_of(f"Bus: {name}", names) for name in names]
     assert isinstance(kind, Bus)
     assert [(port.name, port.kind, port.width) for port in kind.fields] == [

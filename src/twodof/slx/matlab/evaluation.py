@@ -305,8 +305,24 @@ class EvaluatingParser:
         while self.here.kind == "operator" and self.here.text in _BINARY[level] and not self.separated():
             operator = self.here.text
             self.at += 1
-            left = self.apply(operator, left, self.binary(level + 1))
+            short = operator in ("&&", "||") and not (self.matrix or is_signal(left))
+            if short and bool(as_array(left).all()) == (operator == "||"):
+                self.pass_over()
+                left = np.array([[operator == "||"]])
+            else:
+                left = self.apply(operator, left, self.binary(level + 1))
         return left
+
+    def pass_over(self) -> None:
+        """Pass over the second condition of a && or ||, which is not computed where the first one decides."""
+        depth = 0
+        while self.here.kind != "end":
+            text = self.here.text if self.here.kind == "operator" else ""
+            ends = self.here.kind == "line" or text in (",", ";", ")", "]", "}", "&&", "||")
+            if depth == 0 and ends:
+                return
+            depth += int(text in ("(", "[", "{")) - int(text in (")", "]", "}"))
+            self.at += 1
 
     def range(self, level: int) -> Value:
         """Compute `first:last` or `first:step:last`."""

@@ -107,6 +107,8 @@ class Code:
                     raise NotComputed(f"line {self.tokens[at].line}: this end ends nothing")
                 start, *clauses = opened.pop()
                 self.blocks[start] = [*clauses, at]
+        self.unclosed = bool(opened)
+        """Whether a block of a script has no end."""
         if opened and not script:
             raise NotComputed(f"line {self.tokens[opened[-1][0]].line}: a block has no end")
         if not heads and not script:

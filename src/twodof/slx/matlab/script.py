@@ -24,6 +24,7 @@ from twodof.slx.matlab.values import Array, NotComputed, Value
 DEEPEST_SCRIPTS = 5
 _HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
 _NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
+_LAST_END = re.compile(r"^\s*end\s*\Z", re.MULTILINE)
 _FILE = re.compile(r"[\w-][\w. -]{0,100}\.(?:m|mat)")
 
 
@@ -103,13 +104,16 @@ def run(
 
     A file of a function gives what it assigns in the base workspace, as scripts that define buses do.
     """
-    own = workspace
+    own, last = workspace, ""
     if (head := _HEAD.match(code)) is not None:
-        body = re.sub(r"^\s*end\s*\Z", "", _NEXT_FUNCTION.split(code[head.end() :])[0], flags=re.MULTILINE)
-        own, code = {"nargin": np.zeros((1, 1))}, "\n" * code[: head.end()].count("\n") + body
+        before = "\n" * code[: head.end()].count("\n")
+        own, code = {"nargin": np.zeros((1, 1))}, before + _NEXT_FUNCTION.split(code[head.end() :])[0]
+        code, last = _LAST_END.sub("", code), code
     evaluation = Evaluation(own)
     try:
         program = Code(code, folders, script=True)
+        if program.unclosed and last:  # the last end was not the function's
+            program = Code(last, folders, script=True)
     except NotComputed as reason:
         return [Skipped(1, str(reason))]
     parser, tokens = RunningScript(program, evaluation, workspace, depth), program.tokens

@@ -1,6 +1,7 @@
 """Values of the MATLAB subset: arrays, texts, structures, cells; operators and functions on them."""
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from itertools import product
@@ -467,10 +468,15 @@ def _round(array: Array) -> Array:
     return np.floor(np.abs(array) + 0.5) * np.sign(array)
 
 
-def _plain_text(text: Value) -> Value:
-    if not isinstance(text, str) or "%" in text or "\\" in text:
-        raise NotComputed("sprintf of a format is not computed")
-    return text
+_ESCAPED = {"%%": "%", r"\n": "\n", r"\t": "\t", r"\r": "\r", "\\\\": "\\"}
+
+
+def _formatted(text: Value) -> Value:
+    """Return the text of a format without values."""
+    marks = re.findall(r"%.?|\\.?", text) if isinstance(text, str) else ["%"]
+    if not set(marks) <= set(_ESCAPED):
+        raise NotComputed("sprintf of a value is not computed")
+    return re.sub(r"%.|\\.", lambda one: _ESCAPED[one[0]], str(text))
 
 
 def _cast(kind: Any) -> Callable[[Value], Array]:
@@ -539,7 +545,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "xor": lambda a, b: np.logical_xor(as_array(a), as_array(b)), "not": lambda a: ~as_array(a).astype(bool),
     "and": lambda a, b: np.logical_and(as_array(a), as_array(b)), "mtimes": lambda a, b: OPERATORS["*"](a, b),
     "or": lambda a, b: np.logical_or(as_array(a), as_array(b)),
-    "strcmp": lambda a, b: bool(isinstance(a, str) and a == b), "sprintf": _plain_text,
+    "strcmp": lambda a, b: bool(isinstance(a, str) and a == b), "sprintf": _formatted,
     "bin2dec": lambda text: float(int(text, 2)),
     "intmax": lambda k="int32": np.array([[np.iinfo(k).max]], k), "cast": lambda v, k: _cast(KINDS[k])(v),
     "intmin": lambda k="int32": np.array([[np.iinfo(k).min]], k),
