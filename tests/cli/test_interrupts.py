@@ -127,3 +127,19 @@ def test_who_wants_it_ignored_is_heard() -> None:
     raising = code.replace("main()", "signal.raise_signal(signal.SIGINT); main()")
     done = subprocess.run([sys.executable, "-c", raising, "--version"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(("cause", "status"), [("KeyboardInterrupt()", INTERRUPTED), ("None", 1)])
+def test_ctrl_c_while_an_extension_module_loads(cause: str, status: int) -> None:
+    """The import then fails, because of it; an import that fails by itself is no Ctrl-C."""
+    code = f"""
+        import twodof.cli
+        from twodof.cli import app
+        def run(arguments):
+            raise ImportError("initialization failed") from {cause}
+        app.run = run
+        twodof.cli.main()
+    """
+    ended = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True)
+    assert ended.returncode == status
+    assert (ended.stderr == LINE) == (status == INTERRUPTED), ended.stderr

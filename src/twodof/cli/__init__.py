@@ -20,7 +20,10 @@ def main() -> None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     try:
         status = importlib.import_module("twodof.cli.app").run(sys.argv[1:])
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as end:
+        # Ctrl-C while the system loads an extension module comes as its failure.
+        if isinstance(end, ImportError) and not isinstance(end.__cause__, KeyboardInterrupt):
+            raise
         status = interrupts.INTERRUPTED
         interrupts.print_interrupted()
     interrupts.end()
