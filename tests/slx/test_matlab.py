@@ -200,6 +200,12 @@ def test_hostile_text_ends_within_bounds(text: str, said: str) -> None:
     assert time.process_time() - begin < 5.0
 
 
+def test_blank_lines_of_a_function_take_no_time() -> None:
+    begin = time.process_time()
+    assert run("function f\n" + 300_000 * "\n" + "x = 1;", {}) == []
+    assert time.process_time() - begin < 5.0
+
+
 def test_a_parameter_object_counts_as_its_value() -> None:
     workspace: dict[str, object] = {}
     assert run("P = Simulink.Parameter(.5); P.DataType = 'single';", workspace) == []

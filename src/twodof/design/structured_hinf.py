@@ -1,9 +1,10 @@
 """Structured H-infinity: the gains of a fixed structure that make the largest weighted response smallest.
 
 The norm is not convex in the gains and has kinks where two peaks are alike. So the largest response is an unknown t of
-its own: least t with each response below t at a set of frequencies, by sequential quadratic programming, which takes a
-kink for what it is, two constraints that hold together. The frequencies at which the norm is met are added until there
-is none above t. The search goes from several starts. The problem is that of Apkarian and Noll (2006) and of systune.
+its own: the search makes t least, with each response below t at a set of frequencies. Sequential quadratic programming
+takes a kink for what it is, two constraints that hold together. The frequencies at which the norm is met are added
+until none is above t. The search goes from several starts. The problem is that of Apkarian and Noll (2006) and of
+systune.
 """
 
 import math

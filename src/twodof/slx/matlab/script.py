@@ -24,7 +24,6 @@ from twodof.slx.matlab.values import Array, NotComputed, Value
 DEEPEST_SCRIPTS = 5
 _HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
 _NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
-_LAST_END = re.compile(r"^\s*end\s*\Z", re.MULTILINE)
 _FILE = re.compile(r"[\w-][\w. -]{0,100}\.(?:m|mat)")
 
 
@@ -108,7 +107,9 @@ def run(
     if (head := _HEAD.match(code)) is not None:
         before = "\n" * code[: head.end()].count("\n")
         own, code = {"nargin": np.zeros((1, 1))}, before + _NEXT_FUNCTION.split(code[head.end() :])[0]
-        code, last = _LAST_END.sub("", code), code
+        whole = code.rstrip()
+        if whole.endswith("end") and whole[:-3].rstrip(" \t").endswith("\n"):
+            code, last = whole[:-3], code
     evaluation = Evaluation(own)
     try:
         program = Code(code, folders, script=True)
