@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     unknown = [name for name in given.names if name not in BENCHMARKS]
     if unknown:
-        parser.error(f"there is no benchmark {unknown[0]!r}; there are {', '.join(BENCHMARKS)}")
+        parser.error(f"no benchmark named {unknown[0]!r}; choose from {', '.join(BENCHMARKS)}")
     about = {"date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")} | machine()
     console = Console(width=None if sys.stdout.isatty() else WIDTH)
     console.print(f"{about['processor']}, {about['cores']} cores, load {about['load']}")

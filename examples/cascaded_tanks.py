@@ -40,7 +40,7 @@ class Tanks(Block):
         return minimum(x.l + p.bias, 10.0)
 
     def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        """What flows in less what flows out; what is above an edge leaves within a second."""
+        """Return inflow minus outflow of each tank; water above an edge leaves within a second."""
         spilt, over = maximum(x.h - p.full, 0.0), maximum(x.l + p.bias - 10.0, 0.0)
         down, out = p.upper * x.h, p.lower * sqrt(maximum(x.l, 0.0))
         return {"h": p.pump * (u.u - p.dead) - down - spilt, "l": down + p.caught * spilt - out - over}

@@ -16,7 +16,7 @@ from twodof.models import pitch_rate
 
 
 def told(flight: Flight) -> None:
-    """What became of it: a flight that went wrong says why, and keeps the samples that it had."""
+    """Print the checks, and the estimates of a good flight; a failed flight keeps its samples."""
     for check in flight.checks:
         print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
     if flight.good:

@@ -12,7 +12,7 @@ from tests.patience import patiently
 
 
 def alive(process: int) -> bool:
-    """Return True if a process runs; False for one that ended, even if its parent has not waited for it."""
+    """Return True if a process runs; False for one that ended, even if its parent did not wait for it."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

@@ -63,7 +63,7 @@ def test_every_fault_is_listed() -> None:
         ParameterSet().update({"RATE_KP": 5, "NO_SUCH": 1.0, "FC_PARAM_11": 1.0, "ATT_KP": 2.0})
     text = str(caught.value)
     assert "RATE_KP: 5 is outside 0 to 0.12 s/rad" in text
-    assert "NO_SUCH: there is no such parameter; there are RATE_KP" in text
+    assert "NO_SUCH: no such parameter; there are RATE_KP" in text
     assert "ATT_KP: given twice" in text
 
 

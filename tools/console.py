@@ -39,7 +39,7 @@ class Command:
 
     @property
     def refused(self) -> bool:
-        """Whether the page shows it as a mistake, or as a flight that went wrong."""
+        """True if the page shows an error, or a flight that failed."""
         return any(line.startswith(("error:", "  FAILED")) for line in self.shown)
 
 
@@ -114,7 +114,7 @@ def paired(shown: list[str], output: str) -> Iterator[tuple[str, str | None]]:
 
 
 def words(line: str) -> list[str]:
-    """What of a line does not depend on the noise of a flight: everything but numbers."""
+    """Return the words of a line without numbers, which depend on the noise of a flight."""
     return [word for word in line.split() if not re.search(r"\d", word)]
 
 

@@ -1,4 +1,4 @@
-"""Takes the pictures of docs/tutorials/ground-station.md anew, by following it.
+"""Pictures of docs/tutorials/ground-station.md, taken by following it.
 
 `python -m tools.ground_station_pictures` needs Chromium, and the page built (`make web`).
 """

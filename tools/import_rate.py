@@ -50,12 +50,12 @@ class Tried:
 
     @property
     def missing(self) -> bool:
-        """Whether a part of it is not in the repository."""
+        """True if a part of it is not in the repository."""
         return any(map(MISSING.search, self.reasons))
 
 
 def tried(path: Path, folders: list[Path]) -> Tried | None:
-    """Import, compile and run a model. None for a library and for what is no model."""
+    """Import, compile and run a model. None for a library and for other files."""
     try:
         model = read_model(path)
     except TwodofError as reason:
@@ -72,7 +72,7 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     try:
         imported = import_system(model, "", names, folders, otherwise=PERIOD)
         if imported.diagram is None and not imported.refused:
-            raise TwodofError("nothing is refused, and there is no diagram", str(path), "mend the importer")
+            raise TwodofError("no block is refused, but the diagram is missing", str(path), "mend the importer")
         for line in imported.refused:
             found.reasons.setdefault(f"{line.kind}: {line.why}", line.path)
         if imported.diagram is not None:

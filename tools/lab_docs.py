@@ -165,7 +165,7 @@ def _body(told: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _resolved(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What a reference stands for; of a choice with null the other."""
+    """Return the schema that a reference names; for a choice with null, the other alternative."""
     for choice in schema.get("anyOf", ()):
         if choice.get("type") != "null":
             return {**_resolved(choice, schemas), **{k: v for k, v in schema.items() if k != "anyOf"}}

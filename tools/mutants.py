@@ -67,7 +67,7 @@ class Mutant:
 
 
 def changes(node: ast.AST) -> Iterator[ast.AST]:
-    """What may stand in the place of `node`."""
+    """Yield each mutant of `node`."""
     new: ast.AST
     match node:
         case ast.Compare(ops=[op]) if type(op) in OTHER_COMPARISON:

@@ -1,4 +1,4 @@
-"""Whether a change has changed nothing: hashes of what flies, of what is sent and of what is written.
+"""Proof that a change alters nothing: hashes of the code that flies, the frames sent and the files written.
 
 python -m tools.same --out FILE        record, in the repository's root (a quarter of an hour)
 
@@ -178,7 +178,7 @@ def subjects() -> dict[str, Subject]:
 
 
 def targets() -> dict[str, Callable[[Subject, str], tuple[Any, str]]]:
-    """What makes a running machine of a subject in a precision, and its source; by the target's name."""
+    """Return by target name a function that builds a subject in a precision: its machine and its source."""
 
     def single(target: str, compiler: str | None, subject: Subject, precision: str) -> tuple[Any, str]:
         program = build(subject.make(), subject.dt, precision, target=target, compiler=compiler)
@@ -194,7 +194,7 @@ def targets() -> dict[str, Callable[[Subject, str], tuple[Any, str]]]:
 
 
 def signals(machine: Any, target: str, subject: Subject) -> dict[str, dict[str, str]]:
-    """Of each output, by name: of the first steps, and of all where the target is fast enough."""
+    """Return the hashes of each output: of the first steps, and of all if the target is fast enough."""
     machine.set_many(subject.parameters)
     steps = SLOW if target == "reference" else STEPS
     inputs = {name: values[:steps] for name, values in subject.inputs.items()}
@@ -204,7 +204,7 @@ def signals(machine: Any, target: str, subject: Subject) -> dict[str, dict[str, 
 
 
 def outputs(quick: bool) -> tuple[dict[str, Any], dict[str, str]]:
-    """Of all subjects on all targets, and of the C that was made for them."""
+    """Return the hashes of all subjects on all targets, and their generated C."""
     found: dict[str, Any] = {}
     texts: dict[str, str] = {}
     for name, subject in subjects().items():
@@ -264,7 +264,7 @@ class Tap:
 
 
 async def lockstep_session(folder: Path) -> list[str]:
-    """One who connects, tunes, flies every kind of set-point, records, disarms and begins again."""
+    """Return the frames of a client that connects, tunes, flies all set-points, records, disarms and repeats."""
     drone = VirtualDrone("lab", {"seed": 5, "rings": False}, lockstep=True, state=folder / "drone")
     async with drone:
         await drone.listen("memin://same")
@@ -323,7 +323,7 @@ async def companion_session(_: Path) -> list[str]:
 
 
 async def replayed(frames: list[str]) -> list[str]:
-    """What a fresh drone answers to a client's frames, one after the other."""
+    """Return the answers of a fresh drone to a client's frames, sent in order."""
     heard: list[str] = []
     async with VirtualDrone("lab", {"seed": 5, "rings": False}, lockstep=True) as drone:
         await drone.listen("memin://replay")

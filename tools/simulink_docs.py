@@ -33,7 +33,7 @@ INTRODUCTION = """# Simulink's blocks
 
 Made by `tools/simulink_docs.py` from the table that `twodof slx import` uses; do not edit.
 [Come from Simulink](../how-to/come-from-simulink.md) says how a model is imported. Subsystems, ports, Goto and From,
-MATLAB Functions and charts are no rows here: they become diagrams.
+MATLAB Functions and charts are not listed here: they become diagrams.
 
 - *Block* is the type in the file, or the name in Simulink's library.
 - *Becomes* is a block of [the library](blocks.md), or the blocks of a small diagram, with the default parameters.
@@ -64,7 +64,7 @@ def render() -> str:
 
 
 class _Parameters(dict[str, str]):
-    """Parameters of a block of which the file gives none; `read` are those that were asked for, and their defaults."""
+    """Parameters of a block without any in the file; `read` holds the parameters read and their defaults."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -76,7 +76,7 @@ class _Parameters(dict[str, str]):
 
 
 def _tried(rule: Rule, kind: str, signal: Signal, parameters: _Parameters | None = None) -> Made | None:
-    """What a block with default parameters becomes for inputs of one type; None if it is refused."""
+    """Return the translation of a block with default parameters for inputs of one type; None if it is refused."""
     inputs = [signal] * INPUTS.get(kind, 1)
     block = SimulinkBlock(kind, kind, "1", {})
     given = _Parameters() if parameters is None else parameters

@@ -122,7 +122,7 @@ def build(folder: Path) -> Path:
 
 
 def fetched_from_elsewhere(site: Path) -> list[str]:
-    """What a browser would fetch from another host to show a page: page and address. Links to click are none."""
+    """Return page and address of each file that a page loads from another host; links do not count."""
     loaded = r"<(?:script|img|iframe|source|object|embed|link)\b[^>]*\b(?:src|href|data)=[\"']((?:https?:)?//[^\"']+)"
     styled = r"(?:url\(|@import )[\"']?((?:https?:)?//[^\"')]+)"
     return [

@@ -102,7 +102,7 @@ class CompiledLoop:
         made = silent_loop() if noise is None else closed_loop()
         program = build(made, BASE_DT, precision, target=target)
         if not isinstance(program, CompiledProgram):
-            raise CompileError("there is no C compiler", "bench", "install cc, or the wheel ziglang")
+            raise CompileError("no C compiler was found", "bench", "install cc, or the wheel ziglang")
         self.program = program
         self.machine: CompiledMachine = program.machine()
         self.machine.set_many({f"rig.{name}": value for name, value in lab().snapshot().items()})

@@ -135,7 +135,7 @@ def compiled(block: Block, inputs: dict[str, int | tuple[int, int]], output: str
     d.output("y", f"block.{output}")
     program = build(d, 0.01)
     if not isinstance(program, CompiledProgram):
-        raise CompileError("there is no C compiler", "bench", "install cc, or the wheel ziglang")
+        raise CompileError("no C compiler was found", "bench", "install cc, or the wheel ziglang")
     return program
 
 

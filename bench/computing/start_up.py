@@ -155,5 +155,5 @@ def _compilers() -> list[str]:
             continue
         found.append(name)
     if not found:
-        raise CompileError("there is no C compiler", "bench", "install cc, or the wheel ziglang")
+        raise CompileError("no C compiler was found", "bench", "install cc, or the wheel ziglang")
     return found

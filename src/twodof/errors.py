@@ -1,4 +1,4 @@
-"""Errors that twodof raises: each says what went wrong, where, and what to do about it."""
+"""Errors that twodof raises: each names the mistake, its place and the remedy."""
 
 from __future__ import annotations
 

@@ -296,7 +296,7 @@ class ParameterSet(Mapping[str, float]):
         """Return the row of a parameter by its wire name or the real drone's. Raises ParameterError for neither."""
         row = self._rows.get(self._alias.get(name, name))
         if row is None:
-            raise ParameterError("there is no such parameter", str(name), f"use one of {', '.join(self._rows)}")
+            raise ParameterError("no such parameter", str(name), f"use one of {', '.join(self._rows)}")
         return row
 
     def snapshot(self) -> dict[str, float]:
@@ -366,7 +366,7 @@ class ParameterSet(Mapping[str, float]):
     def _fault(self, name: str, value: float) -> str:
         """Describe the fault of a value; "" without one."""
         if name not in self:
-            return f"there is no such parameter; there are {', '.join(self._rows)}"
+            return f"no such parameter; there are {', '.join(self._rows)}"
         row = self.row(name)
         # bool is a number to Python, and `True` for a gain is a mistake
         if isinstance(value, bool) or not isinstance(value, Real):

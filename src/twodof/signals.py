@@ -167,7 +167,7 @@ def topic(name: str) -> Topic:
     """
     row = BY_NAME.get(name) or BY_MAT.get(name)
     if row is None:
-        raise LogError("there is no such signal", name, f"use one of {', '.join(BY_NAME)}")
+        raise LogError("no such signal", name, f"use one of {', '.join(BY_NAME)}")
     return row
 
 

@@ -41,7 +41,7 @@ def broken() -> Diagram:
         ({"a": action("a", unit="m"), "b": action("b", unit="s")}, {}, r"real \[m\] and real \[s\]"),
         ({"a": action("a")}, {"values": {"b": [1]}}, "give values for a"),
         ({"a": action("a")}, {"values": {"a": []}}, "number of values"),
-        ({"a": action("a")}, {"initial": {"z": 1.0}}, "no output 'z'"),
+        ({"a": action("a")}, {"initial": {"z": 1.0}}, "no output named 'z'"),
         ({"choice": action("a")}, {}, "choice"),
         ({"a": action("a"), "b": broken()}, {}, "group.b.y: the output y is not connected"),
     ],

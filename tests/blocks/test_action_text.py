@@ -169,15 +169,15 @@ def test_a_text_records_what_the_same_function_records(condition: Pair, number: 
 
 
 WRONG_GUARDS: dict[str, str] = {
-    "speed > 1.0": "column 1: there is no name 'speed' (there are: ",
+    "speed > 1.0": "column 1: unknown name 'speed' (there are: ",
     "v > 1.0 and v": "column 13: this is a real, and not true or false (compare it, as in v > 0.0)",
     "v = 1.0": "column 1: a guard is one condition (compare with ==; assign in an action)",
     "on and": "column 7: it cannot be read: invalid syntax",
-    "on and (v > 1.0 or y > 2.0)": "column 20: there is no name 'y'",
+    "on and (v > 1.0 or y > 2.0)": "column 20: unknown name 'y'",
     "v ** 2 > 1.0": "column 1: 'v ** 2' cannot stand in a text (write x * x, or pow(x, y))",
     "on & on": "column 1: 'on & on' cannot stand in a text (write `and`)",
     "after(0.5)": "column 1: 0.5 ticks (write after(25) for ticks, or after(0.5, sec))",
-    "on or sinus(v) > 0.0": "column 7: there is no function 'sinus' (there are: sin,",
+    "on or sinus(v) > 0.0": "column 7: no function named 'sinus' (there are: sin,",
     "v > 1.0 and 1 / 0 > v": "column 13: division by zero",
     "v.real > 0.0": "column 1: the field 'real' of what is not a bus",
     "v > 1.0 \u2227 on": "column 9: the character '\u2227' (write ASCII characters)",
@@ -201,7 +201,7 @@ def test_a_wrong_guard_is_named_with_its_transition_and_column(guard: str) -> No
         ("v = 1.0; y = 0.0", "during of idle gives 'v', which is not declared (it may give: n, worst, y)"),
         ("n = 1", "the output 'y' is not given in idle"),
         ("y = 0.0\nimport os", "during of idle, line 2, column 1: an action assigns values"),
-        ("y = y + 1.0", "during of idle, column 5: there is no name 'y'"),
+        ("y = y + 1.0", "during of idle, column 5: unknown name 'y'"),
     ],
 )
 def test_a_wrong_action_is_named_with_its_mode(action: str, complaint: str) -> None:

@@ -125,7 +125,7 @@ WRONG: dict[str, tuple[Callable[[Any], Any], str]] = {
         "'y.rates.p' is given a int32, and is a real",
     ),
     "a field's shape": (lambda u: {"y": {**vars(u.a), "dcm": u.a.dcm.T}}, "'y.dcm' is given an array of 3x2"),
-    "a field that is not there": (lambda u: u.a.rol, "there is no field 'rol' (there are: roll, rates, dcm)"),
+    "a field that is not there": (lambda u: u.a.rol, "no field named 'rol' (there are: roll, rates, dcm)"),
     "an assignment": (lambda u: setattr(u.a, "roll", 1.0), "the field 'roll' is assigned"),
 }
 
@@ -265,7 +265,7 @@ def test_a_running_program_takes_mappings_and_paths() -> None:
         machine.set_state("inner.turned.past.roll", 9.0)
         assert machine.run(3, {"s": {"roll": [1.0, 2.0, 3.0]}})["s.roll"].shape == (3,)
         for wrong, text in (
-            ({"s": {"rol": 1.0}}, "there is no input 's.rol'"),
+            ({"s": {"rol": 1.0}}, "no input named 's.rol'"),
             ({"s": {"rates": 1.0}}, "the value of the bus 's.rates' is 1.0 (give a value for each field: p, count)"),
             ({"s": {"mode": 3}}, "s.mode: 3 is not a member of Mode"),
         ):

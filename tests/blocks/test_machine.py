@@ -64,16 +64,16 @@ def test_every_machine_refuses_the_same_with_the_same_words(make: Callable[[], M
         ("count.gain", float("nan"), "nan is outside"),
         ("count.gain", "much", "it takes real, not the text .much. .give a number"),
         ("count.fixed", 2.0, "it is fixed while the diagram runs"),
-        ("count.gian", 2.0, "there is no parameter 'count.gian'.*there are: count.gain"),
+        ("count.gian", 2.0, "no parameter named 'count.gian'.*there are: count.gain"),
     ):
         before = machine.get("count.gain"), machine.get("count.signed")
         with pytest.raises(ParameterError, match=said):
             machine.set_many({"count.gain": 1.5, path: value})
         assert np.all(np.asarray(before) == np.asarray((machine.get("count.gain"), machine.get("count.signed"))))
     for wrong, said in (
-        (lambda: machine.state("count.m"), "there is no state 'count.m'"),
+        (lambda: machine.state("count.m"), "no state named 'count.m'"),
         (lambda: machine.set_state("count.n", 0.5), "it takes int32"),
-        (lambda: machine.step({"v": 1.0}), "there is no input 'v'.*there are: u, pair"),
+        (lambda: machine.step({"v": 1.0}), "no input named 'v'.*there are: u, pair"),
         (lambda: machine.run(5, {"u": [1.0, 2.0]}), "u: "),
         (lambda: machine.run(2, {"u": ["a", "b"]}), "u: an array of <U1"),
         (lambda: machine.run(-1), "-1 is not a possible number of steps"),

@@ -114,7 +114,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a guard that asks for another input": (
         between(lambda u: u.lever > 1.0),
-        f"block Lamp, when of off -> on, {HERE}: there is no input 'lever' (there are: button, level)",
+        f"block Lamp, when of off -> on, {HERE}: no input named 'lever' (there are: button, level)",
     ),
     "an action of another type": (
         {"modes": (OFF, Mode("on", during={"power": 1.0}, entry=lambda x: {"times": to_real(x.times)}))},

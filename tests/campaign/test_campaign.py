@@ -191,9 +191,13 @@ def test_plans_pair_seeds_and_members() -> None:
     assert plan(range(4), members)[3] == Run(3, 3, {"mass": 4.0})
     assert [run.parameters["mass"] for run in plan((7, 8), members[:1])] == [1.0, 1.0]
     assert [(run.case, run.seed) for run in plan((1, 2), cases=("a", "b"))] == [("a", 1), ("a", 2), ("b", 1), ("b", 2)]
-    for seeds, message in (((1, 2), "4 sets of parameters for 2 seeds"), ((-1,), "no seed"), ((True,), "no seed")):
+    for seeds, message in (
+        ((1, 2), "4 sets of parameters for 2 seeds"),
+        ((-1,), "not a seed"),
+        ((True,), "not a seed"),
+    ):
         with pytest.raises(ExperimentError, match=message):
-            plan(seeds, members if message != "no seed" else ({},))
+            plan(seeds, members if message != "not a seed" else ({},))
 
 
 def test_drawn_members_have_the_covariance() -> None:

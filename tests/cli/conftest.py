@@ -10,7 +10,7 @@ from twodof.cli.app import run
 
 @pytest.fixture
 def shell(capfd: pytest.CaptureFixture[str]) -> Shell:
-    """Run arguments, check the exit status, and return all that was printed since the last call."""
+    """Run arguments, check the exit status, and return everything printed since the last call."""
 
     def answer(arguments: Sequence[str], status: int = 0) -> Said:
         found = run(arguments)

@@ -86,7 +86,7 @@ def program(folder: Path, *arguments: str) -> Iterator[Program]:
 
 
 class Said(NamedTuple):
-    """What a command of ours has printed."""
+    """Output and errors of a command, as printed."""
 
     out: str
     err: str

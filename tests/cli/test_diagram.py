@@ -181,7 +181,7 @@ def test_linearize_prints_the_model(loop: str, tmp_path: Path, shell: Shell) -> 
     assert "1 states, 1 inputs, 1 outputs" in out
     assert run(["diagram", "linearize", loop, "--at", "{"]) == 2
     assert run(["diagram", "linearize", loop, "--at", str(tmp_path / "none.json")]) == 2
-    assert "there is no parameter 'q'" in shell(["diagram", "linearize", loop, "--at", '{"q": 1}'], 2).err
+    assert "no parameter named 'q'" in shell(["diagram", "linearize", loop, "--at", '{"q": 1}'], 2).err
 
 
 def test_linearize_names_states_and_inputs_without_effect(tmp_path: Path, shell: Shell) -> None:

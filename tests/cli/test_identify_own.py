@@ -185,7 +185,7 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, shell: Shell) 
         (["--structure", "model.py", *COLUMNS, "--model", "rail"], "--model"),
         (["--structure", "model.py", *COLUMNS, "--estimate", "mu"], "no unknown 'mu'"),
         (["--structure", "model.py", *COLUMNS, "--hold", "u"], "write u=linear"),
-        (["--structure", "model.py", *COLUMNS, "--hold", "u=soft"], "no hold 'soft'"),
+        (["--structure", "model.py", *COLUMNS, "--hold", "u=soft"], "no hold named 'soft'"),
         (["--structure", "model.py", *COLUMNS, "--plot", "fit.doc"], "no picture has the suffix"),
         (["--structure", "model.py", *COLUMNS, "--window", "900", "901"], "window"),
         (["--structure", "model.py", *COLUMNS, "--reference", "back"], "it is of use to a plot only"),

@@ -154,8 +154,8 @@ def test_up_serves_its_page_to_link_holders_alone(tmp_path: Path) -> None:
     ("options", "said"),
     [
         (("--host", "192.0.2.1"), "give --host an address of this computer"),
-        (("--host", "0.0.0.0", "--no-page"), "there is no page with --no-page"),
-        (("--token", "--lockstep"), "there is no page with --no-page"),
+        (("--host", "0.0.0.0", "--no-page"), "no page is served with --no-page"),
+        (("--token", "--lockstep"), "no page is served with --no-page"),
     ],
 )
 def test_up_refuses_wrong_places_of_its_page(

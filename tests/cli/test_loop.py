@@ -1,4 +1,4 @@
-"""`twodof margins`, `bode`, `rlocus` and `step` of one's own loop, from a fitted model, a diagram or as written."""
+"""`twodof margins`, `bode`, `rlocus` and `step` of a user's loop, from a fitted model, a diagram or as written."""
 
 import math
 from pathlib import Path
@@ -81,7 +81,7 @@ def test_each_command_draws(command: str, period: list[str], folder: Path, tmp_p
     [
         (["1 / (z - 1)"], "no sample time"),
         (["nothing.json"], "cannot be read"),
-        (["data.csv"], "no transfer function"),
+        (["data.csv"], "not a transfer function"),
         (["model.json", "1", "--input", "w"], "name one: --input NAME"),
         (["1 / s", "1", "--period", "-1"], "give a time above 0"),
         (["model.json", "1", "--period", "0.3"], "sample times"),

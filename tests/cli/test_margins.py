@@ -49,7 +49,7 @@ def test_an_unstable_loop_exits_1(tmp_path: Path, shell: Shell) -> None:
         (["--rig", "nowhere.json"], "nowhere.json"),
         (["--loop", "yaw"], "there are: motors, rate"),
         (["--plot", "loop.bmp"], "use .png, .svg, .pdf"),
-        (["nothing"], "no such file or starter"),
+        (["nothing"], "neither a file nor a starter"),
     ],
 )
 def test_bad_arguments_are_named(arguments: list[str], says: str, shell: Shell) -> None:

@@ -89,14 +89,14 @@ def test_mistakes_raise(call: Callable[[CompiledMachine], Any], error: type[Exce
 
 def test_a_missing_compiler_gives_the_reference_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def nowhere(name: str | None = None) -> compilers.Compiler:
-        raise CompileError("there is no C compiler")
+        raise CompileError("no C compiler was found")
 
     monkeypatch.setattr(compilers, "find_compiler", nowhere)
     with pytest.warns(RuntimeWarning, match="reference interpreter"):
         program = build(examples.loop(), 0.01)
     assert isinstance(program, Reference)
     monkeypatch.undo()
-    with pytest.raises(CompileError, match="no C compiler 'no-such-cc'"):
+    with pytest.raises(CompileError, match="no C compiler named 'no-such-cc'"):
         build(examples.loop(), 0.01, compiler="no-such-cc")
     with pytest.raises(CompileError, match=r"unknown target 'fortran'.*native, wasm"):
         build(examples.loop(), 0.01, target="fortran")

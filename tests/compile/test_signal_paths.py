@@ -96,13 +96,13 @@ def test_unknown_paths_are_answered_with_the_same_words_everywhere(make: Any) ->
             lambda: machine.set("memory.inital", 1.0),
         )
     ] == [
-        f"loop: there is no signal 'ctl.N' ({near}, ctl.error.y, ctl.pd.p.y, ctl.through, {signals})",
-        f"loop: there is no signal 'ctl.pd.M' ({other}, ctl.error.y, ctl.through, {signals})",
-        f"loop: there is no signal 'ctl' (there are: ctl.M, ctl.error.y, ctl.pd.p.y, ctl.pd.u, ctl.through, {signals})",
-        "loop: there is no state 'memory.y' (there are: memory.x)",
-        "loop: there is no state 'memoy.x' (there are: memory.x)",
-        "loop: there is no input 'R' (there are: r)",
-        "there is no parameter 'memory.inital' (there are: memory.initial, ctl.pd.p.k, five.value)",
+        f"loop: no signal named 'ctl.N' ({near}, ctl.error.y, ctl.pd.p.y, ctl.through, {signals})",
+        f"loop: no signal named 'ctl.pd.M' ({other}, ctl.error.y, ctl.through, {signals})",
+        f"loop: no signal named 'ctl' (there are: ctl.M, ctl.error.y, ctl.pd.p.y, ctl.pd.u, ctl.through, {signals})",
+        "loop: no state named 'memory.y' (there are: memory.x)",
+        "loop: no state named 'memoy.x' (there are: memory.x)",
+        "loop: no input named 'R' (there are: r)",
+        "no parameter named 'memory.inital' (there are: memory.initial, ctl.pd.p.k, five.value)",
     ]
 
 
@@ -112,12 +112,12 @@ def test_unknown_paths_are_answered_with_the_same_words_everywhere(make: Any) ->
         (wired("ctl.M", "memory.v"), "loop: 'memory' has no input 'v' (inputs: u)"),
         (
             wired("ctl.M", "memori.u"),
-            "loop: there is no output or part 'memori' (there are: memory, five, low, ctl, y)",
+            "loop: no output or part named 'memori' (there are: memory, five, low, ctl, y)",
         ),
         (wired("ctl.M", "ctl.thata"), "loop: 'ctl' has no input 'thata' (inputs: theta, r)"),
         (
             lambda: diagram().add("g", Gain(), params={"K": "k"}),
-            "loop.g: there is no parameter 'K' to bind (there are: k)",
+            "loop.g: no parameter named 'K' to bind (there are: k)",
         ),
         (
             lambda: from_json(to_json(diagram()).replace('"unit_delay"', '"unitdelay"')),

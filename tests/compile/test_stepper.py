@@ -125,7 +125,7 @@ def test_what_is_refused_leaves_the_parameters() -> None:
     for wrong in (11.0, -1.0, float("nan")):
         with pytest.raises(ParameterError, match="outside 0 to 10"):
             rerun.run({"gain": wrong})
-    with pytest.raises(ParameterError, match="no parameter 'gian'"):
+    with pytest.raises(ParameterError, match="no parameter named 'gian'"):
         rerun.run({"gian": 1.0})
     assert (rerun.run({})["y"] == before).all()
     with pytest.raises(DiagramError, match="no scalar output"):

@@ -1,4 +1,4 @@
-"""Loops of one's own: transfer functions as written, sampled as python-control does, with figures of the textbook."""
+"""Loops of users: transfer functions as written, sampled as python-control does, with figures of the textbook."""
 
 import math
 

@@ -92,7 +92,7 @@ def test_rates_in_the_log_are_the_drones() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"mode": "acro"}, "no mode 'acro'"),
+        ({"mode": "acro"}, "unknown mode 'acro'"),
         ({"mode": "rate"}, "and the rate loop in 'rad/s'"),
         ({"rest": -1.0}, "rest = -1"),
         ({"thrust": 2.0}, "the thrust 2 is out of bounds"),

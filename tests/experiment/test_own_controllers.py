@@ -130,9 +130,9 @@ def test_float32_flies_as_float64_does_but_for_rounding() -> None:
 
 
 def test_what_cannot_fly_is_refused_before_it_flies() -> None:
-    with pytest.raises(DiagramError, match="no such file or starter diagram"):
+    with pytest.raises(DiagramError, match="this is neither a file nor a starter diagram"):
         Laboratory("lab", controllers=["lqr"])
-    with pytest.raises(ParameterError, match=r"no parameter 'attitude_control.kp'"):
+    with pytest.raises(ParameterError, match=r"no parameter named 'attitude_control.kp'"):
         Laboratory("lab", controllers=["lqr-attitude"], tuning={"attitude_control.kp": 1.0})
     with pytest.raises(DiagramError, match="unknown precision"):
         Laboratory("lab", precision="float16")

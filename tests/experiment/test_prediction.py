@@ -82,7 +82,7 @@ def test_an_identified_model_takes_the_place_of_the_rig() -> None:
     ("excitation", "loop", "options", "what"),
     [
         (DOUBLET, "M", {}, "rad"),
-        (DOUBLET, "yaw", {}, "no loop"),
+        (DOUBLET, "yaw", {}, "unknown loop"),
         (DOUBLET, "theta", {"thrust": 0.0}, "a closed loop needs thrust"),
         (DOUBLET, "theta", {"x": 0.7}, "beyond"),
         (Doublet(0.1, 2.0, unit="m"), "x", {"rings": True}, "the rings lock it"),

@@ -43,7 +43,7 @@ def flight(begin: int, state: Path | None) -> Assembled:
         return (begin + ticks) * 4 & MASK_32
 
     drone.say(message("TWODOF_LEASE", action=1, duration_ms=20_000, **TARGET))
-    drone.command(INTERVAL, message_id("ODOMETRY"), -1.0)  # 30 Hz is no whole number of ticks, so its ticks are others
+    drone.command(INTERVAL, message_id("ODOMETRY"), -1.0)  # 30 Hz is not a whole number of ticks: other ticks
     for name in (*EVERYTHING, *OWN):
         drone.command(INTERVAL, message_id(name), 4000.0)
     drone.command(INTERVAL, message_id("TWODOF_BATCH"), 4000.0, 0xFFF, 0)

@@ -73,6 +73,6 @@ def test_a_server_that_dies_repeats_no_token() -> None:
 
     asyncio.run(serve())
     (line,) = said
-    assert line.startswith("there is no page")
+    assert line.startswith("the page did not start")
     assert "the-secret" not in line
     assert "..." in line

@@ -57,7 +57,7 @@ def test_what_fits_no_template_or_cannot_be_written_leaves_what_flew(tmp_path: P
     (tmp_path / "file").write_text("")
     with pytest.raises(DiagramError, match=r"cannot be made.*TWODOF_DATA"):
         ControllerStore(tmp_path / "file" / "sim").flash(starter("empty-motor"))
-    with pytest.raises(DiagramError, match=r"there is no template .yaw."):
+    with pytest.raises(DiagramError, match=r"no template named .yaw."):
         slot.in_use("yaw")
 
 

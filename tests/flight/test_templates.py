@@ -132,7 +132,7 @@ def test_what_a_diagram_is_meant_for_shows_in_its_outputs() -> None:
         assert kind_of(starter(f"empty-{name}")) == f"{name}_control"
     with pytest.raises(DiagramError, match=r"no template has its outputs \(none\).*attitude_control gives M"):
         kind_of(Diagram("nothing"))
-    with pytest.raises(DiagramError, match=r"mine: there is no template 'atitude' \(there are: attitude_control, "):
+    with pytest.raises(DiagramError, match=r"mine: no template named 'atitude' \(there are: attitude_control, "):
         check_template(controller(), "atitude")
 
 

@@ -82,7 +82,7 @@ def test_log_without_loops_is_described() -> None:
 
 @pytest.mark.parametrize("after", ["open-loop", "attitude"])
 def test_moments_that_level_the_drone_are_not_part_of_a_doublet(after: str) -> None:
-    """Neither those of the failsafe nor those of the loop that is closed before the drone is disarmed."""
+    """Moments of the failsafe, and of the loop that is closed before the drone is disarmed, do not count."""
     tick = 10.0 + PERIOD * np.arange(500)
     moment = Doublet(0.03, 0.6, lead=0.2).at(tick - 10.0)
     levelled = tick >= 11.2

@@ -162,7 +162,7 @@ WRONG: list[tuple[str, bytes | str, str]] = [
     (".parquet", parquet(a=[1.0]), "no column 'time'"),
     (".csv", "", "the file is empty"),
     (".csv", "a,b\n1,2\n", "no column 'time' among: a, b"),
-    (".csv", "time\n1\n", "no column beside that of the time"),
+    (".csv", "time\n1\n", "the table has only the column of the time"),
     (".csv", "time,q\n1,x\n", "is not a table of numbers: .*'x'"),
     (".csv", "time,q\n1\n", "is not a table of numbers: .*Expected 2 columns, got 1"),
     (".csv", "time,q\n1,nan\n", "wrong.csv: q: value is nan at sample 0"),

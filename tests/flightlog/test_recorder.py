@@ -125,7 +125,7 @@ def test_samples_dropped_by_a_slow_disk_are_counted(tmp_path: Path, slow_disk: S
         assert recorder.dropped == {"estimate.q": 899, "estimate.theta": 100}
         with pytest.raises(LogError, match="1616 bytes at once are more than the buffer of 1600"):
             recorder.write_many("estimate.theta", range(101), np.zeros(101))
-        with pytest.raises(RecordingError, match=r"has not answered within 0\.05 s"):
+        with pytest.raises(RecordingError, match=r"did not answer within 0\.05 s"):
             recorder.flush(0.05)
         slow_disk.go()
         assert recorder.flush().samples == sum(taken)

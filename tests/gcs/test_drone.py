@@ -226,7 +226,7 @@ def test_a_kill_in_lockstep_holds_until_released(there: OnBoard) -> None:
 
 def test_wrong_excitations_columns_and_recordings_raise_at_once(there: OnBoard, tmp_path: Path) -> None:
     with Drone.connect(there.url) as drone:
-        with pytest.raises(ExperimentError, match="3 is no excitation"):
+        with pytest.raises(ExperimentError, match="3 is not an excitation"):
             drone.excite(3)
         with pytest.raises(LinkError, match="nix"):
             drone.batch(["nix"])

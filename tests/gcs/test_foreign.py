@@ -46,7 +46,7 @@ async def test_a_verb_that_needs_our_messages_is_refused_at_once(peer: Foreign, 
     missing, call = OURS[verb]
     assert not drone.ours
     heard, start = len(peer.heard), asyncio.get_running_loop().time()
-    with pytest.raises(Rejected, match=f"no twodof drone but px4, which has no .*{missing}"):
+    with pytest.raises(Rejected, match=f"not a twodof drone but px4, which has no .*{missing}"):
         await call(drone)
     assert asyncio.get_running_loop().time() == start
     await asyncio.sleep(0.5)

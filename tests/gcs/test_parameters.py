@@ -206,7 +206,7 @@ async def test_a_foreign_drones_silence_means_an_unknown_parameter(peer: Peer, d
     assert asyncio.get_running_loop().time() - began <= SILENCE_S + 0.5
     with pytest.raises(ParameterError, match=r"no such parameter"):
         await drone.parameters.set("NOPE", 1.0)
-    with pytest.raises(Rejected, match="no twodof drone"):
+    with pytest.raises(Rejected, match="not a twodof drone"):
         await drone.parameters.describe()
     with pytest.raises(ParameterError, match="names on a twodof drone only"):
         await drone.parameters.read("attitude_control.k_q")

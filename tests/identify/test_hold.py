@@ -96,9 +96,9 @@ def test_an_input_on_another_clock_is_interpolated() -> None:
 def test_a_hold_that_is_not_there_is_refused() -> None:
     table = {"u": TIME, "y": TIME}
     for wrong in ("foh", "", {"u": "spline"}, {"u": 3}, None, 3):
-        with pytest.raises(IdentificationError, match="there is no hold"):
+        with pytest.raises(IdentificationError, match="no hold named"):
             Record.from_columns(TIME, table, ["u"], ["y"], hold=wrong)  # type: ignore[arg-type]
-    with pytest.raises(IdentificationError, match="no hold 'linear' of an input 'y'"):
+    with pytest.raises(IdentificationError, match="no hold named 'linear' is defined for an input 'y'"):
         Record.from_columns(TIME, table, ["u"], ["y"], hold={"y": "linear"})
     with pytest.raises(IdentificationError, match="smooth"):
         Record.from_columns(TIME, table, ["u"], ["y"], smooth=["u"], hold="linear")

@@ -109,7 +109,7 @@ def test_what_cannot_be_fitted_is_refused() -> None:
             fit_transfer(good, 0, 1, band=band)  # type: ignore[arg-type]
     with pytest.raises(IdentificationError, match="call frequency_response first"):
         fit_transfer(good.response, 0, 1)  # type: ignore[arg-type]
-    with pytest.raises(IdentificationError, match="no coefficient 'mu'"):
+    with pytest.raises(IdentificationError, match="no coefficient named 'mu'"):
         fit_transfer(good, 0, 1, values={"mu": 3.0})
     with pytest.raises(IdentificationError, match="0 points with a coherence"):
         fit_transfer(good, 0, 1, band=(1000.0, 2000.0))

@@ -252,7 +252,7 @@ def test_structure_knows_its_unknowns() -> None:
 
 def test_a_name_that_is_no_parameter_is_refused() -> None:
     diagram = pitch_rate().diagram
-    with pytest.raises(IdentificationError, match="there is no parameter 'muu'"):
+    with pytest.raises(IdentificationError, match="no parameter named 'muu'"):
         Structure(diagram, ("muu",))
     with pytest.raises(IdentificationError, match="there is nothing to estimate"):
         Structure(diagram, ())

@@ -133,7 +133,7 @@ def measure(drawing: Drawing) -> None:
 
 
 def _meet(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    """Return True if two rectangles, of which one may be a line, share more than their borders."""
+    """Return True if two rectangles share more than their borders; one may be a line."""
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 

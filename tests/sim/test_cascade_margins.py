@@ -190,7 +190,7 @@ def test_a_rig_from_a_model_has_the_models_figures(tmp_path: Any) -> None:
 
 @pytest.mark.long
 def test_bad_input_is_refused_with_the_remedy(tmp_path: Any) -> None:
-    with pytest.raises(DiagramError, match="there is no loop 'yaw'"):
+    with pytest.raises(DiagramError, match="unknown loop 'yaw'"):
         cascade_loop("yaw")
     for nothing in ({"a": 1.0}, {"lag": 0.01}):
         with pytest.raises(ParameterError, match="a rig needs one of"):

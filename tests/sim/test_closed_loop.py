@@ -160,7 +160,7 @@ def test_what_cannot_be_is_refused(loop: ClosedLoop) -> None:
         loop.start(InitialState(x=0.5))
     with pytest.raises(ExperimentError, match="beyond the stop"):
         loop.start(InitialState(theta=float("nan")))
-    with pytest.raises(ExperimentError, match="no mode"):
+    with pytest.raises(ExperimentError, match="unknown mode"):
         loop.fly(1, {"mode": "hover"})
     with pytest.raises(ExperimentError, match="no set-point"):
         loop.fly(1, {"throttle": 0.4})

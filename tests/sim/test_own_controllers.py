@@ -108,7 +108,9 @@ def test_parameters_of_a_users_diagram_are_tuned_by_path_in_flight(loops: dict[s
     limp = loop.fly(1000, {"mode": "attitude", "thrust": HOVER, "theta0": 0.1})["true_theta"][-1]
     assert held > 0.09
     assert abs(limp) < 0.05
-    with pytest.raises(ParameterError, match=r"no parameter 'attitude_control.k_thete'.*attitude_control.k_theta"):
+    with pytest.raises(
+        ParameterError, match=r"no parameter named 'attitude_control.k_thete'.*attitude_control.k_theta"
+    ):
         loop.tune_controllers({"attitude_control.k_thete": 1.0})
     with pytest.raises(ParameterError, match="outside 0 to 1"):
         loop.tune_controllers({"attitude_control.k_theta": 2.0, "attitude_control.k_q": 1.1})

@@ -190,7 +190,7 @@ def test_a_chart_is_drawn_by_keys_and_undone(server: Served, open_page: OpenPage
     expect(page.get_by_label("guard", exact=True)).to_be_focused()
     page.keyboard.type("u > speed")
     page.keyboard.press("Enter")
-    expect(page.get_by_role("alert").filter(has_text="there is no name 'speed'")).to_be_visible()
+    expect(page.get_by_role("alert").filter(has_text="unknown name 'speed'")).to_be_visible()
     expect(page.get_by_text("1: u > speed")).to_be_visible()
     sheet(page).focus()
     for _ in range(4):

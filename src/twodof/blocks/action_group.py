@@ -65,7 +65,7 @@ def action_group(
     for output in initial or {}:
         if output not in parts[first].outputs:
             there = f"there are: {nearest(output, parts[first].outputs)}"
-            raise DiagramError(f"there is no output {shown(output)} to start", name, there)
+            raise DiagramError(f"no output named {shown(output)} to start", name, there)
     for output in parts[first].outputs:
         port = _alike(name, output, parts)
         merge = Merge(len(parts), (initial or {}).get(output, 0), port.enum or port.kind, port.width, port.unit)
@@ -124,7 +124,7 @@ def resettable_integrator(
     """Return a diagram with y' = u, which starts at `initial`, or with initial="input" at the input `x0`.
 
     It must run at the base rate. With `reset` there is a bool input `clear`, which resets y at each tick at which it is
-    true ("level"), or at its edges ("rising", "falling" or "either"; the first tick has none). Then y becomes the
+    true ("level"), or at its edges ("rising", "falling" or "either"; never at the first tick). Then y becomes the
     initial value before the outputs are computed, and is integrated from there. With "none" it lacks the input `clear`.
     The output y depends on `clear` and `x0` in the same tick, so a loop through them needs a delay. Raises DiagramError
     for an unknown `reset` or invalid `limits`.

@@ -270,7 +270,7 @@ def check_lists(block: Declared, where: str) -> None:
             raise DiagramError(f"{what} is {shown(given)}, not a list", where, remedy)
         for one in given:
             if not isinstance(getattr(one, "name", None), str):
-                raise DiagramError(f"{what} holds {shown(one)}, which is no declaration", where, remedy)
+                raise DiagramError(f"{what} holds {shown(one)}, which is not a declaration", where, remedy)
             if isinstance(getattr(one, "kind", None), Bus):
                 if what == "derived":
                     raise DiagramError(f"{what} holds the bus {one.name!r}", where, "declare its fields one by one")
@@ -345,7 +345,7 @@ def _declared(value: Any, declared: State | Param) -> list[Any]:
         for one in plain:
             if not numbers.fits(one, kind):
                 within = f"{BY_NAME[kind].low} to {BY_NAME[kind].high}"
-                raise DiagramError(f"{one} is no {kind}", name, f"write a whole number from {within}")
+                raise DiagramError(f"{one} does not fit {kind}", name, f"write a whole number from {within}")
     return plain
 
 
@@ -485,10 +485,10 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
 def unknown_parameter(path: object, known: Iterable[str]) -> ParameterError:
     """Return the error for an unknown parameter `path`, with up to 40 of the `known` ones, the most similar first."""
     return ParameterError(
-        f"there is no parameter {path!r:.120}", "", f"there are: {nearest(path, sorted(known), most=40)}"
+        f"no parameter named {path!r:.120}", "", f"there are: {nearest(path, sorted(known), most=40)}"
     )
 
 
 def unknown_name(what: str, name: object, known: Iterable[str], where: str) -> DiagramError:
     """Return the error for an unknown `name` of a signal, state or part (`what`), with similar `known` names."""
-    return DiagramError(f"there is no {what} {name!r:.120}", where, f"there are: {nearest(name, known)}")
+    return DiagramError(f"no {what} named {name!r:.120}", where, f"there are: {nearest(name, known)}")

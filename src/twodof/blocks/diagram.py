@@ -194,7 +194,7 @@ class Diagram:
         for inner, outer in (params or {}).items():
             if inner not in known:
                 raise DiagramError(
-                    f"there is no parameter {shown(inner)} to bind", path, f"there are: {nearest(inner, sorted(known))}"
+                    f"no parameter named {shown(inner)} to bind", path, f"there are: {nearest(inner, sorted(known))}"
                 )
             if not isinstance(outer, str):
                 what = f"{inner!r} is bound to {shown(outer)}, which is not a name"
@@ -339,7 +339,7 @@ def _no_bus(signal: str, field: str, where: str) -> DiagramError:
 def no_parameter(outer: str, diagram: Diagram, path: str) -> DiagramError:
     """Return the error for a part bound to a parameter that its diagram does not have."""
     there = f"declare it with Diagram.param; there are: {nearest(outer, diagram.params)}"
-    return DiagramError(f"there is no parameter {outer!r} to bind to", path, there)
+    return DiagramError(f"no parameter named {outer!r} to bind to", path, there)
 
 
 def not_connected(end: str, path: str) -> DiagramError:
@@ -380,7 +380,7 @@ def _of_outputs(item: Block | Diagram, values: Mapping[str, Any], path: str, wha
     for output in values:
         if (output.partition(".")[0] if isinstance(item, Diagram) else output) not in names:
             there = f"there are: {nearest(output, names)}"
-            raise DiagramError(f"there is no output {shown(output)} to {what}", path, there)
+            raise DiagramError(f"no output named {shown(output)} to {what}", path, there)
     return {n: plain_data(v, f"{path}.{n}") for n, v in values.items()}
 
 

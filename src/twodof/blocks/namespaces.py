@@ -21,7 +21,7 @@ class Namespace:
         object.__setattr__(self, "__dict__", values)
 
     def __getattr__(self, name: str) -> Any:
-        raise fault(f"there is no {type(self).what} {name!r}", f"there are: {', '.join(self.__dict__) or 'none'}")
+        raise fault(f"no {type(self).what} named {name!r}", f"there are: {', '.join(self.__dict__) or 'none'}")
 
     def __getitem__(self, name: str) -> Any:
         values = self.__dict__

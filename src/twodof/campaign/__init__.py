@@ -1,4 +1,4 @@
-"""Campaigns: many flights of a plan over all cores, resumed after a kill, of which only figures come back."""
+"""Campaigns: many flights of a plan over all cores, resumed after a kill, which return figures only."""
 
 from twodof.campaign.plan import Run, drawn, plan
 from twodof.campaign.row_file import RowFile

@@ -39,7 +39,7 @@ def plan(
     seeds = list(seeds)
     for seed in seeds:
         if not is_number(seed, 0, whole=True):
-            raise ExperimentError(f"{seed!r:.80} is no seed", "plan", "give whole numbers from 0 on")
+            raise ExperimentError(f"{seed!r:.80} is not a seed", "plan", "give whole numbers from 0 on")
     each = list(members) * len(seeds) if len(members) == 1 else list(members)
     if len(each) != len(seeds):
         what = f"{len(members)} sets of parameters for {len(seeds)} seeds"

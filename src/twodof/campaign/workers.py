@@ -61,7 +61,7 @@ def campaign(
     more. `report` gets the number of rows that are there.
 
     With `path` the rows are kept in that file, and a campaign that was stopped goes on where it was. `name` belongs to
-    the file. Neither the number of processes nor a stop changes a byte of it.
+    the file. A stop or another number of processes does not change a byte of it.
 
     Raises LogError for the file of another campaign, ExperimentError for a number of processes below 1 and where a
     process cannot import `measure`.
@@ -114,7 +114,7 @@ class _Worker:
 
 
 class _Crew:
-    """Threads, each of which keeps a worker process, gives it runs and starts it again if it ends."""
+    """Pool of threads; each keeps a worker process, gives it runs and restarts it if it ends."""
 
     def __init__(self, measure: Measure, run_s: float, say: Callable[[str], None]) -> None:
         self._measure, self._run_s, self._say = measure, run_s, say

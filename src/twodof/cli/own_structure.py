@@ -27,7 +27,7 @@ class NamedColumns(NamedTuple):
 
     @classmethod
     def of(cls, model: str, inputs: Sequence[str], outputs: Sequence[str]) -> Self:
-        """Return the names before "=". Raises ParameterError if there is no input or no output."""
+        """Return the names before "=". Raises ParameterError without an input or an output."""
         ins, outs = (tuple(one.partition("=")[0] for one in given) for given in (inputs, outputs))
         if not ins or not outs:
             option = "--output" if ins else "--input"

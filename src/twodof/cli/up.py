@@ -86,7 +86,7 @@ def up(
     paged = page and not lockstep
     if (host != LOOPBACK or token) and not paged:
         raise typer.BadParameter(
-            "there is no page with --no-page or --lockstep", param_hint="--token" if host == LOOPBACK else "--host"
+            "no page is served with --no-page or --lockstep", param_hint="--token" if host == LOOPBACK else "--host"
         )
     known = None if key is None else read_key(key)
     check_ports_free(index, drones)

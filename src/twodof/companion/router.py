@@ -97,7 +97,7 @@ class Router:
         self.refresh()
 
     def started(self) -> None:
-        """Request all streams anew from a vehicle that has reconnected or restarted."""
+        """Request all streams again from a vehicle that has reconnected or restarted."""
         self.asked.clear()
         self.refresh()
 

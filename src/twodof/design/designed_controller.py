@@ -82,7 +82,7 @@ def design_controller(
     range and gains that the drone refuses.
     """
     if method not in METHODS:
-        raise ParameterError(f"there is no method {shown(method)}", "design", f"choose one of {', '.join(METHODS)}")
+        raise ParameterError(f"unknown method {shown(method)}", "design", f"choose one of {', '.join(METHODS)}")
     if specification is not None and method != "cascade":
         remedy = "leave the specification out, or choose the method cascade"
         raise ParameterError("a specification is for the method cascade only", f"method {method}", remedy)

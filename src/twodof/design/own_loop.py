@@ -61,7 +61,8 @@ def read_rational(text: str) -> Rational:
 
     A product needs no sign: 2 (s + 1). Raises ParameterError for anything else, and for orders over 40.
     """
-    refusal = ParameterError(f"{shown(text)} is no transfer function", "", 'write one as "2 exp(-0.3 s) / (1.5 s + 1)"')
+    remedy = 'write one as "2 exp(-0.3 s) / (1.5 s + 1)"'
+    refusal = ParameterError(f"{shown(text)} is not a transfer function", "", remedy)
     if not 0 < len(text) <= _MOST_TEXT:
         raise refusal
     try:

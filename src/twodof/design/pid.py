@@ -76,7 +76,7 @@ def pid_at(
     form cannot give that phase at the crossover.
     """
     if form not in FORMS:
-        raise ParameterError(f"there is no form {shown(form)}", "pid", f"use {', '.join(FORMS)}")
+        raise ParameterError(f"unknown form {shown(form)}", "pid", f"use {', '.join(FORMS)}")
     for name, value in (("crossover", crossover), ("N", n)):
         _positive(name, value)
     if not -math.pi < phase_margin < math.pi:

@@ -353,7 +353,7 @@ class Promise:
             if len(shapes) != 1 or len(shape := shapes.pop()) != 1 or not 1 < shape[0] < _MOST_SAMPLES:
                 raise ValueError("the bands differ in length")
             if not (math.isfinite(goal) and goal > 0.0 and isinstance(family, Mapping)):
-                raise ValueError("the step is not above 0, or there is no family")
+                raise ValueError("the step is not above 0, or the family is empty")
             return cls(
                 str(data["controller"]),
                 family,

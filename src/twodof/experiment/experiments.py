@@ -48,7 +48,7 @@ class Experiment:
 
     def __post_init__(self) -> None:
         if self.mode not in SETPOINT:
-            raise ExperimentError(f"there is no mode {self.mode!r:.80}", self.name, f"use one of {', '.join(SETPOINT)}")
+            raise ExperimentError(f"unknown mode {self.mode!r:.80}", self.name, f"use one of {', '.join(SETPOINT)}")
         if self.excitation.unit != UNIT[self.mode]:
             raise ExperimentError(
                 f"the excitation is in {self.excitation.unit!r}, and the {self.mode} loop in {UNIT[self.mode]!r}",

@@ -87,7 +87,7 @@ def predict(
     unknown loop, a wrong unit, a loop that moves a locked cart, a thrust outside 0 to 1, and an `x` beyond the rail.
     """
     if loop not in LOOP_MODES:
-        raise ExperimentError(f"there is no loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")
+        raise ExperimentError(f"unknown loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")
     mode = LOOP_MODES[loop]
     Experiment("prediction", mode, excitation, rings, thrust)  # refuses what cannot be flown
     values = dict(rig) if isinstance(rig, Mapping) else load_rig_or_model(rig)

@@ -212,7 +212,7 @@ def controller_costs(diagram: Diagram, precision: str = "float32", target: str =
     """
     program = build(diagram, PERIOD, precision, target=target)
     if not isinstance(program, CompiledProgram):
-        raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
+        raise CompileError("no C compiler was found", diagram.name, "install gcc, or the wheel ziglang")
     p, s, u, y = (program.dtypes[struct].itemsize for struct in "PSUY")
     try:
         on_m7 = build(diagram, PERIOD, precision, target="cortex-m7")

@@ -249,7 +249,7 @@ class LocalPage:
             await child.start()
             status = await child.wait()
             if not child.listening.is_set():  # a restart would fail in the same way
-                self._tell(f"there is no page: {child_error(list(child.said), child.name, status)}")
+                self._tell(f"the page did not start: {child_error(list(child.said), child.name, status)}")
                 return
             goes_on = await child.may_restart(status, self._tell, "the drones go on without a page")
 

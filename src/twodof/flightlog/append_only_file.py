@@ -19,7 +19,7 @@ Full = Literal["drop", "wait"]
 MAX_CAPACITY_BYTES = 1 << 24
 """Largest buffer [byte]. It becomes one chunk of the file, which readers inflate to 2.7 times its size."""
 DEADLINE_S = 10.0
-"""A disk that has not answered for so long is taken for dead."""
+"""A disk that does not answer for so long is taken for dead."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class AppendOnlyFile(ABC):
 
     def _silent(self, deadline_s: float) -> RecordingError:
         return RecordingError(
-            f"the disk has not answered within {deadline_s:g} s; {self.acknowledged.samples} of {self.accepted} "
+            f"the disk did not answer within {deadline_s:g} s; {self.acknowledged.samples} of {self.accepted} "
             "samples are on it",
             str(self.path),
             "record to another disk",

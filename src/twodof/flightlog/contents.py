@@ -175,7 +175,7 @@ def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Dete
         return None
     shape = _shape(steps, stretch.t1)
     start, stop = window(log, steps)
-    # What levels the drone afterwards is no part of a doublet: ten times its moment, in the window's last samples.
+    # What levels the drone afterwards is not part of a doublet: ten times its moment, in the window's last samples.
     stop = min(stop, stretch.t1 - 0.5 * PERIOD)
     # An impulse is flown for the free response after it.
     return _excitation("open-loop", shape, steps, (start, stretch.t1 if shape == "impulse" else stop))

@@ -126,7 +126,7 @@ class Fence:
             answer = _empty_file(MOST_TEXT + min(ANSWER + ANSWER_PER_BYTE * size, MOST_ANSWER))
         except OSError as reason:
             remedy = "raise the limit of a file's size (ulimit -f)"
-            raise LogError(f"there is no room for its content: {reason.strerror}", where, remedy) from reason
+            raise LogError(f"its content does not fit: {reason.strerror}", where, remedy) from reason
         if self._warm is None:
             self._warm = _start()
         (_, control), status = self._warm, b""

@@ -361,7 +361,7 @@ def log_of_rows(data: bytes, columns: Sequence[str], provenance: Mapping[str, An
     if unknown:
         raise LogError(f"no column {unknown[0]!r:.80}", "export", f"choose of {nearest(unknown[0], _BY_COLUMN)}")
     if not columns or len(set(columns)) < len(columns):
-        what = f"there are no columns, or repeated ones: {listed(columns)}"
+        what = f"columns are missing or repeated: {listed(columns)}"
         raise LogError(what, "export", "give one or more, each once")
     row = 8 + 4 * len(columns)
     count, rest = divmod(len(data), row)

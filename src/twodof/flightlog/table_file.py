@@ -441,7 +441,7 @@ def _channels_of_wide(
             raise LogError(f"two columns are called {name!r}", where, "rename one of them")
         found[name] = _channel(table, [column], time, (unit or unit_of(name), ()), f"{where}: {name}")
     if not found:
-        raise LogError("there is no column beside that of the time", where, "give a column for each channel")
+        raise LogError("the table has only the column of the time", where, "give a column for each channel")
     return found
 
 

@@ -170,7 +170,7 @@ class AsyncDrone(DroneView):
         """
         self._needs_ours("excitations on board", "TWODOF_EXCITE")
         if not isinstance(excitation, Excitation):
-            what = f"{shown(excitation)} is no excitation"
+            what = f"{shown(excitation)} is not an excitation"
             raise ExperimentError(what, "excite", "give one of twodof.excitation, such as Doublet(0.03, 0.6)")
         self.watcher.check_not_killed()
         playback = await self.exciter.start(excitation, loop, thrust, at, timeout)
@@ -455,7 +455,7 @@ class AsyncDrone(DroneView):
         """Raise Rejected at once if the drone is a plain PX4, which does not know the message `name`."""
         if not self.ours:
             self.session.must_stand()
-            missing = f"{what}: this is no twodof drone but {self.state.autopilot}, which has no {name}"
+            missing = f"{what}: this is not a twodof drone but {self.state.autopilot}, which has no {name}"
             remedy = "docs/how-to/connect-clients.md says what works there"
             raise Rejected(missing, self.session.where, remedy)
 

@@ -150,7 +150,7 @@ def loop_number(excitation: Excitation, loop: str | None) -> int:
     if loop is None:
         return UNITS.index(excitation.unit)
     if loop not in LOOPS:
-        raise ExperimentError(f"no loop {shown(loop)}", "excite", f"choose one of {listed(LOOPS)}")
+        raise ExperimentError(f"unknown loop {shown(loop)}", "excite", f"choose one of {listed(LOOPS)}")
     unit = UNITS[LOOPS.index(loop)]
     if excitation.unit != unit:
         raise ExperimentError(

@@ -307,7 +307,7 @@ class AsyncParameters:
 
     async def _describe(self, deadline: Deadline) -> None:
         if not self._session.ours:
-            what = "this is no twodof drone and has no description of its parameters"
+            what = "this is not a twodof drone and has no description of its parameters"
             raise Rejected(what, deadline.where, "parameters.all() lists them")
         content = await self._files.read(DESCRIPTION, deadline.left)
         try:

@@ -307,7 +307,7 @@ def _check_stable(problem: Problem, found: Disturbed) -> None:
         return
     if any(is_unstable(structure, problem.values(x, 0), dt) for x in (problem.x0, found.minimum.x)):
         raise structure.error(
-            "the model is unstable, and its simulation diverges from the data whatever the unknowns are",
+            "the model is unstable, and its simulation diverges from the data for any values of the unknowns",
             "take disturbance='innovation': a predictor corrects the states by what was measured",
         )
 

@@ -380,7 +380,7 @@ def by_output_error(
     machines = machines or [FlownMachine()] * len(records)
     machine = machines[0]
     if experiment == "impulse" and structure.name == "free_response" and not wanted:
-        # What the rotors do is no part of the free response.
+        # What the rotors do is not part of the free response.
         freed = [free_swing(one) for one in (*records, *checked)]
         records, checked = [one for one, _ in freed[: len(records)]], [one for one, _ in freed[len(records) :]]
         first = {f"{name}[{one.name}]": guess for one, guesses in freed for name, guess in guesses.items()}

@@ -77,7 +77,7 @@ class Record:
         for name, hold in self.hold.items():
             if hold not in HOLDS or name not in self.inputs:
                 raise self.error(
-                    f"there is no hold {hold!r:.40} of an input '{name}'",
+                    f"no hold named {hold!r:.40} is defined for an input '{name}'",
                     f"holds: {', '.join(HOLDS)}; inputs: {', '.join(self.inputs)}",
                 )
 
@@ -342,7 +342,7 @@ def merge(*records: Record) -> tuple[Record, ...]:
         check_record(one)
         first = records[0]
         if (one.inputs.keys(), one.outputs.keys()) != (first.inputs.keys(), first.outputs.keys()):
-            raise one.error(f"it has not the channels of '{first.name}'", "give records with the same channels")
+            raise one.error(f"it does not have the channels of '{first.name}'", "give records with the same channels")
         if abs(one.dt - first.dt) > _SAME_STEP * first.dt:
             raise one.error(f"steps of {one.dt:.6g} s, and {first.dt:.6g} s in '{first.name}'", "resample one of them")
     names = [one.name for one in records]

@@ -123,7 +123,7 @@ def subspace(
 def subspace_named(name: str, record: Record) -> Structure:
     """Return the structure of "subspace" or "subspace:4" between all channels of `record`, with its first guess.
 
-    Raises IdentificationError as `subspace`, and for an order that is no number.
+    Raises IdentificationError as `subspace`, and for an order that is not an integer.
     """
     order = name.partition(":")[2]
     return subspace(record, order=orders_of(order, name) if order else None).structure()

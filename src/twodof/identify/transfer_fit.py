@@ -60,9 +60,7 @@ class TransferFit:
         """Return a coefficient. Raises IdentificationError for an unknown one."""
         found = self._all(self.values)
         if label not in found:
-            raise IdentificationError(
-                f"there is no coefficient {shown(label)}", "transfer fit", f"of {', '.join(found)}"
-            )
+            raise IdentificationError(f"no coefficient named {shown(label)}", "transfer fit", f"of {', '.join(found)}")
         return found[label]
 
     def sigma(self, label: str) -> float:
@@ -203,7 +201,7 @@ def fit_transfer(
     fixed = {**({} if dead_time else {"tau": 0.0}), **(values or {})}
     for name, value in fixed.items():
         if name not in names:
-            raise IdentificationError(f"there is no coefficient {shown(name)}", "values", f"of {nearest(name, names)}")
+            raise IdentificationError(f"no coefficient named {shown(name)}", "values", f"of {nearest(name, names)}")
         if not is_number(value):
             raise IdentificationError(f"{name} is {shown(value)}", "values", "give a finite number")
     labels = tuple(name for name in names if name not in fixed)

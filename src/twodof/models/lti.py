@@ -169,7 +169,7 @@ def step_figures(t: ArrayLike, y: ArrayLike, start: float, final: float, band: f
             f"time {time.shape} and response {value.shape} differ or have under two samples", "step_figures"
         )
     if start == final:
-        raise ParameterError("start and final value are equal: there is no step", "step_figures")
+        raise ParameterError("start and final value are equal, so this is not a step", "step_figures")
     z = (value - start) / (final - start)
     outside = np.flatnonzero(np.abs(z - 1.0) > band)
     if outside.size == 0:

@@ -29,7 +29,7 @@ MOST = 100
 class PolynomialModel:
     """Orders of a model of one output; nb, nf and nk (the delay in samples) have a number for each input.
 
-    A = 1 + a1 q^-1 + ... + a_na q^-na, C, D and F_i likewise. B_i = b1 q^-nk + ... + b_nb q^-(nk + nb - 1). Raises
+    A = 1 + a1 q^-1 + ... + a_na q^-na, C, D and F_i alike. B_i = b1 q^-nk + ... + b_nb q^-(nk + nb - 1). Raises
     IdentificationError for orders that are not whole numbers from 0 to `MOST`, and for a model without unknowns.
     """
 

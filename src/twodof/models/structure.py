@@ -1,4 +1,4 @@
-"""Model structure: a diagram with parameters, some of which are estimated from data."""
+"""Model structure: a diagram with parameters, and those to estimate from data."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -164,9 +164,7 @@ class Structure:
 
     def _param(self, name: str) -> Param:
         if name not in self.diagram.params:
-            raise self.error(
-                f"there is no parameter '{name}'", f"there are: {', '.join(self.diagram.params) or 'none'}"
-            )
+            raise self.error(f"no parameter named '{name}'", f"there are: {', '.join(self.diagram.params) or 'none'}")
         return self.diagram.params[name]
 
     def _unknown(self, param: Param) -> UnknownParameter:

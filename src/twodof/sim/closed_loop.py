@@ -365,12 +365,10 @@ class ClosedLoop:
             inputs |= self._nothing_fails(steps)
         for name, value in setpoints.items():
             if name not in self.inputs:
-                raise ExperimentError(
-                    f"there is no set-point {name!r:.80}", "fly", f"use one of {', '.join(self.inputs)}"
-                )
+                raise ExperimentError(f"no set-point named {name!r:.80}", "fly", f"use one of {', '.join(self.inputs)}")
             if name == "mode" and isinstance(value, str):
                 if value not in MODES:
-                    raise ExperimentError(f"there is no mode {value!r:.80}", "fly", f"use one of {', '.join(MODES)}")
+                    raise ExperimentError(f"unknown mode {value!r:.80}", "fly", f"use one of {', '.join(MODES)}")
                 value = MODES.index(value)
             array = np.asarray(value)
             inputs[name] = np.repeat(array, TICKS) if array.ndim else array[()].item()

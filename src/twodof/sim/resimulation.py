@@ -194,7 +194,7 @@ class LoggedFlight:
         """Return the simulated estimates at the logged stamps, by channel, for the rig parameters `rig`.
 
         `conditions` are further conditions of the flight, such as `charge_start`, `noise` and `seed`; by default the
-        battery is full and there is no noise. Raises ParameterError for one that is not a parameter of the rig.
+        battery is full and the sensors have no noise. Raises ParameterError for one that is not a parameter of the rig.
         """
         flight = self.flown
         start, bias = flight.start, flight.velocity_bias

@@ -39,7 +39,7 @@ _sampled = itemgetter(*(_OUTPUTS.index(n) if n in _OUTPUTS else _LACKING[n == "i
 def _program(precision: str) -> CompiledProgram:
     program = build(rig(), BASE_DT, precision)
     if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then
-        raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
+        raise CompileError("no C compiler was found", "rig", "install gcc, or the wheel ziglang")
     return program
 
 
@@ -145,7 +145,7 @@ class VirtualRig:
         self._look()
 
     def stop(self) -> None:
-        """Stop both rotor pairs until `release`, against all that `drive` commands. May be called from any thread."""
+        """Stop both rotor pairs until `release`, overriding `drive`. May be called from any thread."""
         self._stopped = True
 
     def release(self) -> None:
@@ -212,7 +212,7 @@ class VirtualDrone:
         uploads, kept = (None, None) if state is None else (state / "controllers", state / "flying")
         chosen = Controllers(controllers, trusted, uploads, kept, position_filter, precision, fuel)
         if rate not in PROFILES:
-            raise ParameterError(f"there are no rates {rate!r:.40}", "rate", f"use one of {', '.join(PROFILES)}")
+            raise ParameterError(f"no rates are named {rate!r:.40}", "rate", f"use one of {', '.join(PROFILES)}")
         self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate], fresh)
         self.controller, self.commander = self.assembly.controller, self.assembly.commander
         self.server = self.assembly.server

@@ -184,7 +184,7 @@ def test_what_does_not_go_together_is_an_error_with_block_line_and_remedy(mistak
 
 
 def test_a_declared_value_has_its_kind_and_a_continuous_state_is_real() -> None:
-    with pytest.raises(DiagramError, match=r"300 is no uint8.*0 to 255"):
+    with pytest.raises(DiagramError, match=r"300 does not fit uint8.*0 to 255"):
         Param("k", 300, "uint8")
     with pytest.raises(DiagramError, match="a continuous state cannot be float64"):
         State("x", 0.0, "float64", continuous=True)

@@ -439,14 +439,14 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     "another enabling": (file(parts=[{**PART, "enabling": "afresh"}]), "enabling='afresh'"),
     "a value when disabled of nothing": (
         file(parts=[{**PART, "enable": "u", "disabled": {"y": 1}}]),
-        "there is no output 'y' to reset",
+        "no output named 'y' to reset",
     ),
     "a number when disabled": (file(parts=[{**PART, "disabled": 1}]), "'disabled' is missing or of the wrong kind"),
     "values when disabled beyond number": (
         file(parts=[{**PART, "enable": "u", "disabled": {"y": [0] * 200_000}}]),
         "more than 100000 numbers",
     ),
-    "an initial value of nothing": (file(parts=[{**PART, "initial": {"y": 1}}]), "there is no output 'y'"),
+    "an initial value of nothing": (file(parts=[{**PART, "initial": {"y": 1}}]), "no output named 'y'"),
     "initial values that are none": (
         file(parts=[{**PART, "initial": [1]}]),
         "'initial' is missing or of the wrong kind",

@@ -115,7 +115,7 @@ HOSTILE = {
     ),
     "a missing output": (custom(output={}), "does not give 'y'"),
     "a node that is not there": (custom(output={"y": 99}), "node 99, which is not there"),
-    "a connection to nowhere": (form(connections=[["r", "nowhere.u"]]), "there is no output or part .nowhere."),
+    "a connection to nowhere": (form(connections=[["r", "nowhere.u"]]), "no output or part named .nowhere."),
     "an input fed twice": (form(connections=[["r", "b0.u"], ["r", "b0.u"]]), "has two sources"),
     "a name used twice": (form(parts=[GAIN, GAIN], connections=[], outputs=[]), "used twice"),
 }

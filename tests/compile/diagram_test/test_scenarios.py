@@ -207,8 +207,8 @@ def test_integers_are_held_and_must_be_whole() -> None:
 @pytest.mark.parametrize(
     ("scenario", "what"),
     [
-        (Scenario("x", 1.0, {"q": 1.0}, checks=["y never above 1"]), "there is no input 'q'"),
-        (Scenario("x", 1.0, checks=["z never above 1"]), "there is no output 'z'"),
+        (Scenario("x", 1.0, {"q": 1.0}, checks=["y never above 1"]), "no input named 'q'"),
+        (Scenario("x", 1.0, checks=["z never above 1"]), "no output named 'z'"),
         (Scenario("x", 1.0, checks=["gain.z never above 1"]), "gain.z"),
         (Scenario("x", 1.0, {"r": 1.0}), "checks nothing"),
         (Scenario("x", checks=["y never above 1"]), "no duration"),

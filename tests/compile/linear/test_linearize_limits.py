@@ -145,8 +145,8 @@ def test_an_integrator_that_can_be_reset_is_one_while_it_is_not() -> None:
     ("arguments", "complaint"),
     [
         ({"at": {"nowhere": 1.0}}, "nowhere"),
-        ({"inputs": ["p.nothing"]}, "there is no signal"),
-        ({"outputs": ["nothing"]}, "there is no signal"),
+        ({"inputs": ["p.nothing"]}, "no signal named"),
+        ({"outputs": ["nothing"]}, "no signal named"),
         ({"time": "sometimes"}, "use one of"),
         ({"free": ["M"]}, "without trim"),
         ({"trim": True, "free": ["theta"]}, "is not a real input of the model"),

@@ -208,7 +208,7 @@ def test_an_index_that_never_comes_round_is_named_and_holding_it_is_refused(monk
     """If it is held, what is written is never read: B was 0 without a word."""
     monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)
     with pytest.raises(
-        DiagramError, match=r"bool states count neither settle nor repeat.*depend on them: y \(let count wrap"
+        DiagramError, match=r"bool states count do not settle or repeat.*depend on them: y \(let count wrap"
     ):
         linearize(chain(Recorder()), DT)
     with pytest.raises(DiagramError, match="written samples would never be read") as found:

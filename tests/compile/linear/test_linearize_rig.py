@@ -125,7 +125,7 @@ def test_the_range_sensors_own_clock_is_refused_with_the_outputs_that_do_without
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)  # of 20,000, each of which takes its time
-    with pytest.raises(DiagramError, match="phase neither settle nor repeat") as found:
+    with pytest.raises(DiagramError, match="phase do not settle or repeat") as found:
         linearize(rig(), BASE_DT, at=HOVER)
     assert found.value.where == "range"
     assert "ask for the outputs acc_x, acc_z, gyro_y, theta, q, x, v, load, voltage, charge only" in found.value.remedy

@@ -67,7 +67,7 @@ def test_every_problem_is_named_with_its_whole_path() -> None:
     text = [f"{p.where}: {p.what}" for p in found.problems]
     for where, what in (
         ("sub.bad", "no truth"),
-        ("sub.gain", "no parameter 'missing'"),
+        ("sub.gain", "no parameter named 'missing'"),
         ("sub.gain.u", "takes [rad]"),
         ("sub.wrong.u", "it takes real"),
         ("sub.loose.u", "not connected"),
@@ -81,7 +81,7 @@ def test_every_problem_is_named_with_its_whole_path() -> None:
         ("slow.u", "runs at (4, 0)"),
         ("state", "it has continuous states"),
         ("edge", "an edge inside the step"),
-        ("outer", "there is no input or part 'nowhere'"),
+        ("outer", "no input or part named 'nowhere'"),
     ):
         assert any(what in t and where in t.partition(": ")[0] for t in text), (where, what, text)
     assert all(p.remedy for p in found.problems)

@@ -122,8 +122,8 @@ def test_contradictions_are_refused_with_their_path(
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        ({"initial": {"z": 1.0}}, "there is no output 'z' to start"),
-        ({"enable": "on", "disabled": {"z": 1.0}}, "there is no output 'z' to reset"),
+        ({"initial": {"z": 1.0}}, "no output named 'z' to start"),
+        ({"enable": "on", "disabled": {"z": 1.0}}, "no output named 'z' to reset"),
         ({"disabled": {"y": 1.0}}, "has values for disabled=, and is never disabled"),
         ({"enable": "on", "disabled": "off"}, "disabled='off'"),
     ],

@@ -117,7 +117,7 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     "not armed: killed by system 245, component 190: release it first (twodof kill --release)": (killed, REJECTED),
     "not armed: safety switch, press it": (switched, REJECTED),
     # Modes.
-    "there is no mode main 99, sub 0": (lambda: armed().commander.set_mode(ME, 99 << 16), MavResult.UNSUPPORTED),
+    "unknown mode main 99, sub 0": (lambda: armed().commander.set_mode(ME, 99 << 16), MavResult.UNSUPPORTED),
     "mode position moves the cart, and the rings lock it": (
         lambda: armed(rig=Rig(rings=True)).commander.set_mode(ME, modes.POSITION),
         MavResult.DENIED,
@@ -140,16 +140,16 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     # Excitations.
     "excitation refused: another one plays": (lambda: started(playing(), transfer=8), REJECTED),
     "excitation refused: another one plays ": (lambda: playing().commander.excitation.define(ME, 8, PULSE), REJECTED),
-    "excitation refused: there is no definition 8, whole and not yet played": (
+    "excitation refused: definition 8 is missing, incomplete or already played": (
         lambda: started(ready(), transfer=8),
         REJECTED,
     ),
-    "excitation refused: there is no definition 7, whole and not yet played": (
+    "excitation refused: definition 7 is missing, incomplete or already played": (
         lambda: started(played(), loop=2),
         REJECTED,
     ),
-    "excitation refused: there is no loop 5": (lambda: started(ready(), loop=5), REJECTED),
-    "excitation refused: there is no loop -1": (lambda: started(ready(), loop=-1), REJECTED),
+    "excitation refused: unknown loop 5": (lambda: started(ready(), loop=5), REJECTED),
+    "excitation refused: unknown loop -1": (lambda: started(ready(), loop=-1), REJECTED),
     "excitation refused: it is in '-', the loop in 'rad/s'": (lambda: started(ready(), loop=1), REJECTED),
     "excitation refused: the loop moves the cart, and the rings lock it": (
         lambda: started(ready(MOVING, rig=Rig(rings=True)), loop=4),
@@ -209,7 +209,7 @@ def test_a_start_that_is_refused_marks_the_excitation_that_it_names_and_no_other
     assert not started(cockpit, loop=9).accepted
     assert (cockpit.commander.excitation.player.state, cockpit.commander.excitation.player.reason) == (
         REFUSED,
-        "there is no loop 9",
+        "unknown loop 9",
     )
     cockpit = played()
     revision = cockpit.commander.excitation.player.revision

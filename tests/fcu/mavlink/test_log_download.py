@@ -140,7 +140,7 @@ async def test_end_ends_and_nothing_is_nothing(tmp_path: Path) -> None:
     (none,) = await listed(world)
     assert (none.num_logs, none.size) == (0, 0)
     world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=90, **US))
-    assert "no log 0" in world.texts()
+    assert "log 0 does not exist" in world.texts()
     for tick in range(900):
         log.step(plain_step(tick, armed=True))
     log.end()

@@ -100,7 +100,7 @@ async def test_who_asks_first_is_told_all_that_is_missing_at_once_and_nothing_is
         assert name == "wasmtime"
 
     def none(name: str | None = None) -> None:
-        raise CompileError("there is no compiler for WebAssembly", "target wasm", "install one")
+        raise CompileError("no compiler for WebAssembly was found", "target wasm", "install one")
 
     if not there:
         monkeypatch.setattr(target, "find_spec", nowhere)

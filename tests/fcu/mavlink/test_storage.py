@@ -143,7 +143,7 @@ def test_a_disk_that_is_silent_has_not_stored(tmp_path: Path, monkeypatch: pytes
         disk = Disk(monkeypatch)
         disk.answers.clear()
         assert answer(world, SAVE) == MavResult.FAILED
-        assert "the disk has not answered within 0.01 s" in world.texts()
+        assert "the disk did not answer within 0.01 s" in world.texts()
         disk.answers.set()
 
 

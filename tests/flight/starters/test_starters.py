@@ -100,7 +100,9 @@ def test_the_empty_one_asks_for_no_moment(kind: str) -> None:
 def test_a_name_that_is_none_is_answered_with_those_there_are(tmp_path: Path) -> None:
     with pytest.raises(DiagramError, match=r"no starter diagram called 'pid'.*there are: stock-attitude"):
         starter("pid")
-    with pytest.raises(DiagramError, match=r"no such file or starter diagram.*name a JSON file or one of stock-att"):
+    with pytest.raises(
+        DiagramError, match=r"neither a file nor a starter diagram.*name a JSON file or one of stock-att"
+    ):
         load_diagram(str(tmp_path / "nothing.json"))
     with pytest.raises(DiagramError, match="this is not a file"):
         load_diagram(tmp_path)

@@ -149,7 +149,7 @@ def test_the_catalogue_says_what_to_run_where_nothing_can_be_simulated(monkeypat
     monkeypatch.setattr(compilers, "find_zig", lambda: None)
     monkeypatch.setenv("PATH", "")
     said = diagram_work.catalogue()["not_simulated"]
-    assert said.startswith("there is no compiler for WebAssembly: run `pip install ziglang`")
+    assert said.startswith("no compiler for WebAssembly was found: run `pip install ziglang`")
 
 
 def simulink(folder: Path, *files: tuple[str, bytes], system: str = "") -> dict[str, Any]:

@@ -189,11 +189,11 @@ def test_flags_that_nobody_knows_are_refused() -> None:
 
 
 def test_what_does_not_fit_is_named() -> None:
-    with pytest.raises(LinkError, match=r"HEARTBEAT: cannot be encoded: type = 256 is no uint8_t"):
+    with pytest.raises(LinkError, match=r"HEARTBEAT: cannot be encoded: type = 256 does not fit uint8_t"):
         encode(message("HEARTBEAT", type=256), 1, 1, 0)
-    with pytest.raises(LinkError, match="pitch = 'up' is no float"):
+    with pytest.raises(LinkError, match="pitch = 'up' does not fit float"):
         encode(message("ATTITUDE", pitch="up"), 1, 1, 0)
-    with pytest.raises(LinkError, match="pitch = 1e\\+300 is no float"):
+    with pytest.raises(LinkError, match="pitch = 1e\\+300 does not fit float"):
         encode(message("ATTITUDE", pitch=1e300), 1, 1, 0)
     short = message("ODOMETRY")
     short.q = [1.0]

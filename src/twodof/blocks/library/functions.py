@@ -267,7 +267,7 @@ def function_block(
             found_inputs.append(ports.pop(name, Port(name)))
     for name in [*ports, *tunables]:
         raise DiagramError(
-            f"{name!r} is declared, but the function has no such argument",
+            f"{name!r} is declared, but it is not an argument of the function",
             label,
             "add the argument, or delete the declaration",
         )

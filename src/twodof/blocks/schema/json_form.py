@@ -77,7 +77,7 @@ def read_diagram(path: str | Path) -> Diagram:
     file = Path(path)
     try:
         if not file.is_file():
-            raise DiagramError("there is no such file", f"{path!s:.200}", "name a diagram's JSON file")
+            raise DiagramError("no such file", f"{path!s:.200}", "name a diagram's JSON file")
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:

@@ -207,7 +207,7 @@ class _Reading:
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
                 if name not in CALLED:
                     there = nearest(name, [*CALLED, "after"])
-                    raise TextFault(f"there is no function {name!r}", _column(node), f"there are: {there}")
+                    raise TextFault(f"no function named {name!r}", _column(node), f"there are: {there}")
                 return CALLED[name](*(self.value(one, depth) for one in args))
         operation: ast.AST = getattr(node, "op", node)
         instead = _INSTEAD.get(type(operation), _FORM)
@@ -245,7 +245,7 @@ class _Reading:
 
 
 def _unknown(name: str, known: Any, node: ast.AST) -> Any:
-    raise TextFault(f"there is no name {name!r}", _column(node), f"there are: {nearest(name, known)}")
+    raise TextFault(f"unknown name {name!r}", _column(node), f"there are: {nearest(name, known)}")
 
 
 def _not(value: Any) -> Any:

@@ -72,6 +72,6 @@ HELPERS = {precision: _named(precision) for precision in ("float64", "float32")}
 NAMES = frozenset(HELPERS["float64"])
 _TEMPLATES = resources.files(__package__).joinpath("templates")
 FILES = {"string.h": _TEMPLATES.joinpath("string.h").read_text(encoding="utf-8")}
-"""Headers for `toolchain.compiled(..., files=FILES)` with the option `-I.` where there is no C library."""
+"""Headers for `toolchain.compiled(..., files=FILES)`, given the option `-I.`, to compile without a C library."""
 MEMORY = "\n" + _TEMPLATES.joinpath("memory.c").read_text(encoding="utf-8")
 """C to append to a source that is linked without a C library."""

@@ -45,7 +45,9 @@ def find_cross_compiler(name: str | None = None) -> Compiler:
     if name in (None, "zig") and (path := compilers.find_zig()):
         return Compiler("zig", (path, "cc"), ZIG)
     raise CompileError(
-        "there is no C compiler for the Cortex-M7" + (f" called {name!r}" if name else ""),
+        "no C compiler for the Cortex-M7 was found"
+        if name is None
+        else f"{name}, a compiler for the Cortex-M7, was not found",
         "",
         "install arm-none-eabi-gcc (Debian: apt-get install gcc-arm-none-eabi) or the wheel ziglang",
     )

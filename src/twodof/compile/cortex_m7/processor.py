@@ -55,7 +55,7 @@ def find_emulator() -> str:
     path = shutil.which(EMULATOR)
     if path is None:
         raise CompileError(
-            f"there is no {EMULATOR}, which emulates the Cortex-M7",
+            f"{EMULATOR}, which emulates the Cortex-M7, was not found",
             "",
             "install QEMU for Arm systems (Debian: apt-get install qemu-system-arm)",
         )
@@ -128,7 +128,7 @@ class Board:
         return bytes(data), struct.unpack("<2I", content)
 
     def _take(self, count: int, name: str) -> bytes:
-        """Return the next `count` bytes from the processor; send what is pending meanwhile."""
+        """Return the next `count` bytes from the processor; send pending bytes while waiting."""
         heard = time.monotonic()
         while len(self._received) < count:
             ended = self._process.poll() is not None  # asked first: what it said before its end is then there to read

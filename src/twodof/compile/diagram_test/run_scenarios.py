@@ -190,7 +190,7 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> ScenarioPlan:
     for name, what in names.items():
         if name not in diagram.outputs and "." not in name:
             remedy = f"outputs: {nearest(name, diagram.outputs)}; the path of a signal inside is part.port"
-            raise DiagramError(f"there is no output {shown(name)}", f"{scenario.name}, {what}", remedy)
+            raise DiagramError(f"no output named {shown(name)}", f"{scenario.name}, {what}", remedy)
     typed = {name: _typed(diagram.inputs[name], data, f"{scenario.name}, {name}") for name, data in inputs.items()}
     enumerations = {name: found for name in names if (found := enumeration_of(name)) is not None}
     return ScenarioPlan(
@@ -213,7 +213,7 @@ def _steps(scenario: Scenario, dt: float) -> int:
 
 def _input(diagram: Diagram, name: str, where: str) -> Port:
     if name not in diagram.inputs:
-        raise DiagramError(f"there is no input {shown(name)}", where, f"inputs: {nearest(name, diagram.inputs)}")
+        raise DiagramError(f"no input named {shown(name)}", where, f"inputs: {nearest(name, diagram.inputs)}")
     return diagram.inputs[name]
 
 

@@ -180,7 +180,7 @@ class SignalTable:
         """Return the indices of the rows in which the column has a cell, and the numbers in these cells, (n,) each."""
         if name not in self.cells:
             there = f"there are: {nearest(name, self.cells)}"
-            raise DiagramError(f"there is no column {shown(name)}", self.name, there)
+            raise DiagramError(f"no column named {shown(name)}", self.name, there)
         given = {row: cell for row, cell in enumerate(self.cells[name]) if cell is not None}
         values = []
         for row, cell in given.items():

@@ -94,7 +94,7 @@ def _read(model: type[M], given: Any, where: str) -> M:
         if wrong["type"] == "missing":
             what, remedy = "it is missing", f"keys: {listed(keys)}"
         elif wrong["type"] in _UNKNOWN_KEY:
-            what, remedy = "there is no such key", f"keys: {nearest(place, keys)}"
+            what, remedy = "unknown key", f"keys: {nearest(place, keys)}"
         raise DiagramError(what, f"{where}, {place:.200}", remedy) from error
 
 

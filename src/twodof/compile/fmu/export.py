@@ -83,12 +83,12 @@ class Fmu:
     def files(self) -> dict[str, bytes]:
         """Return all files of the FMU by path, with the binary of this computer.
 
-        Raises CompileError if there is no compiler or it fails, and where FMI has no name for this computer.
+        Raises CompileError without a compiler, if it fails, and where FMI has no name for this computer.
         """
         here = platform.system(), platform.machine()
         if here not in BINARIES:
             known = ", ".join(" ".join(pair) for pair in BINARIES)
-            raise CompileError(f"there is no binary of an FMU for {' '.join(here)}", "", f"use one of: {known}")
+            raise CompileError(f"FMI has no name for the platform {' '.join(here)}", "", f"use one of: {known}")
         newer, older, ending = BINARIES[here]
         compiler = compilers.find_compiler()
         file = f"{self.name}.c"
@@ -131,6 +131,6 @@ def make_fmu(
     variables of one name, and in FMI 2.0 for a uint32 and for too large arrays.
     """
     if version not in VERSIONS:
-        raise DiagramError(f"there is no FMI {version!r:.40} here", diagram.name, f"use {' or '.join(VERSIONS)}")
+        raise DiagramError(f"FMI {version!r:.40} is not supported", diagram.name, f"use {' or '.join(VERSIONS)}")
     emitted = emit_program(diagram, dt, precision, log)
     return Fmu(diagram, emitted, version, tuple(fmu_variables(emitted, version)))

@@ -98,7 +98,7 @@ class IntegerStates:
         if index := self._indexes(node, moving):
             remedy = f"let {index} wrap, as in where(i + 1 < n, i + 1, int32(0)), so that the buffer is a ring"
         raise DiagramError(
-            f"its integer or bool states {', '.join(moving)} neither settle nor repeat within {MAX_STEPS} steps; "
+            f"its integer or bool states {', '.join(moving)} do not settle or repeat within {MAX_STEPS} steps; "
             f"these depend on them: {', '.join(self.parts.outputs_of(node))}",
             node.path,
             remedy + ask,

@@ -61,7 +61,7 @@ def find_compiler(name: str | None = None) -> Compiler:
         if path:
             return Compiler(candidate, (path,))
     raise CompileError(
-        f"there is no C compiler {name!r}" if name else "there is no C compiler",
+        f"no C compiler named {name!r} was found" if name else "no C compiler was found",
         "",
         "install gcc (Debian: apt-get install gcc libc6-dev), or the wheel ziglang (pip install ziglang)",
     )

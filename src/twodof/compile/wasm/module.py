@@ -152,7 +152,7 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
         # --stack-first: so that a stack that overflows leaves the memory instead of overwriting constants.
         return Compiler("clang", (clang,), ("--target=wasm32", f"-fuse-ld={linker}", "-Wl,--stack-first"))
     raise CompileError(
-        f"there is no compiler {name!r:.80} for WebAssembly" if name else "there is no compiler for WebAssembly",
+        f"no compiler {name!r:.80} for WebAssembly was found" if name else "no compiler for WebAssembly was found",
         "target wasm",
         "run `pip install ziglang` where twodof is installed, or install clang and lld",
     )

@@ -116,9 +116,9 @@ class ExcitationControl:
         if player.playing:
             return "another one plays"
         if not player.unit or player.transfer != transfer:
-            return f"there is no definition {transfer}, whole and not yet played"
+            return f"definition {transfer} is missing, incomplete or already played"
         if not 0 <= loop < len(LOOPS):
-            return f"there is no loop {loop}"
+            return f"unknown loop {loop}"
         where = LOOPS[loop]
         if player.unit != where.unit:
             return f"it is in {player.unit!r}, the loop in {where.unit!r}"
@@ -232,7 +232,7 @@ class Commander:
         if not result.accepted:
             return result
         if custom_mode not in modes.BY_NUMBER:
-            return unsupported(f"there is no mode {modes.mode_name(custom_mode)}")
+            return unsupported(f"unknown mode {modes.mode_name(custom_mode)}")
         if modes.BY_NUMBER[custom_mode].moves_cart and self._vehicle.rig.rings:
             return denied(
                 f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it", RefusalReason.RINGS

@@ -266,7 +266,7 @@ def _program(position_filter: str, precision: str, outside: bool, controllers: t
     diagram = core(position_filter=position_filter, controllers=controllers, failsafe=True, outside=outside)
     program = build(diagram, PERIOD, precision)
     if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then
-        raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
+        raise CompileError("no C compiler was found", diagram.name, "install gcc, or the wheel ziglang")
     return program
 
 

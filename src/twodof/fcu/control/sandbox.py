@@ -61,7 +61,7 @@ class Sandbox:
         diagram = core(position_filter=position_filter, controllers=controllers)
         program = build(diagram, PERIOD, precision, target=Wasm(fuel=fuel))
         if not isinstance(program, CompiledProgram):
-            raise CompileError("there is no WebAssembly", diagram.name, INSTALL)
+            raise CompileError("WebAssembly cannot be run here", diagram.name, INSTALL)
         self.program = program
         self.timed = False
         self._renew()

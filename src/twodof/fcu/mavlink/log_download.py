@@ -99,7 +99,7 @@ class LogDownload(Service):
         peer, got = received.peer, received.message
         logs = self._lists.get(peer) or (yield self._log.logs)  # it may know the list from before
         if got.id >= len(logs):
-            self._vehicle.explain(peer, f"there is no log {got.id}")
+            self._vehicle.explain(peer, f"log {got.id} does not exist")
             return
         self._keep(peer, logs)
         self._data[peer] = self._parts(peer, logs[got.id], got.id, got.ofs, got.count)

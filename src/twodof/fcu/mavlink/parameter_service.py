@@ -270,7 +270,7 @@ class TransactionService(Service):
     def _end(self, got: Any, sender: Source) -> TransactionAnswer:
         found = self._latest.get(sender)
         if found is None or found.number != got.transaction or found.ended not in (BEGIN, got.action):
-            return TransactionAnswer(READ_FAIL, why=f"there is no open transaction {got.transaction}")
+            return TransactionAnswer(READ_FAIL, why=f"transaction {got.transaction} is not open")
         if found.answer is not None:
             return found.answer
         have = len(found.values) + (found.fault is not None)

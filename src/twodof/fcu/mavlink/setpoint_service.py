@@ -149,7 +149,7 @@ class ExcitationService(Service):
             return self._commander.excitation.start(sender, got.transfer, got.loop, thrust, at_tick)
         if got.action == STOP:
             return self._commander.excitation.stop(sender)
-        return denied(f"excitation refused: there is no action {got.action}")
+        return denied(f"excitation refused: unknown action {got.action}")
 
     def _piece(self, got: Any, sender: Source, peer: Hashable) -> CommandResult:
         taken = self._commander.lease.take(sender, "excitation")

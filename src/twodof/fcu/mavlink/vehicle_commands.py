@@ -191,8 +191,8 @@ class ReloadCommand:
     command's first number is `ASK`, it only reports whether uploads can be built, and needs no lease: a client asks
     this before it uploads. Uploads that cannot be built are deleted, so that the folder holds what flies.
 
-    Compiling takes seconds, in a thread beside the control loop. Arming is refused meanwhile (`building`), since both
-    threads need the interpreter. `flies` is called before the first tick in which the new controllers fly.
+    Compiling takes seconds, in a thread beside the control loop. Arming is refused while it runs (`building`), since
+    both threads need the interpreter. `flies` is called before the first tick in which the new controllers fly.
     """
 
     def __init__(

@@ -189,7 +189,7 @@ class OnboardLogger:
         self._wake.set()
         if not done.wait(deadline_s):
             raise LogError(
-                f"the disk has not answered within {deadline_s:g} s", str(self.folder.path), "log to another disk"
+                f"the disk did not answer within {deadline_s:g} s", str(self.folder.path), "log to another disk"
             )
 
     def _end_all(self, writer: LogWriter) -> None:

@@ -183,7 +183,7 @@ class ParameterStore(Mapping[str, float]):
         return self._file is not None
 
     def save(self) -> None:
-        """Write all values now. Raises ParameterError if the disk refuses, or has not answered for `SAVE_S`."""
+        """Write all values now. Raises ParameterError if the disk refuses, or does not answer for `SAVE_S`."""
         self.flush(SAVE_S)
 
     def flush(self, deadline_s: float = 10.0) -> None:

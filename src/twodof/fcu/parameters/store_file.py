@@ -71,7 +71,7 @@ class StoreFile:
     def flush(self, deadline_s: float) -> None:
         """Write the waiting content now, and wait until it is on the disk.
 
-        Raises ParameterError if the disk has refused, or has not answered within `deadline_s` [s].
+        Raises ParameterError if the disk refuses, or does not answer within `deadline_s` [s].
         """
         with self._changed:
             self._at_once = self._wanted is not None
@@ -82,7 +82,7 @@ class StoreFile:
                 remedy = "store them on another disk: the values fly, but are not stored"
                 raise ParameterError(self.failure.what, self.failure.where, remedy)
             if not done:
-                silent = f"the disk has not answered within {deadline_s:g} s"
+                silent = f"the disk did not answer within {deadline_s:g} s"
                 raise ParameterError(silent, str(self.path), "store them on another disk")
 
     def close(self, deadline_s: float) -> None:

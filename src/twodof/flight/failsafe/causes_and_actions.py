@@ -41,7 +41,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("battery_critical", DESCEND, "the voltage is critical, or none that the pack can have"),
     Cause("range_lost", DESCEND, "the cart is free and its range silent, stuck or far from the motion expected"),
     Cause("imu_lost", OFF, "the IMU is silent or gives no number, or an axis of it repeats itself to the bit"),
-    Cause("estimate_lost", OFF, "an estimate is no number, or beyond what the rig can do"),
+    Cause("estimate_lost", OFF, "an estimate is NaN or infinite, or beyond what the rig can do"),
     Cause("pitch_stop", OFF, "the pitch is at its stop"),
     Cause("rail_end", OFF, "the cart is at the rail's end"),
     Cause("brake_failed", OFF, "the cart stays near the rail's end however long it is braked"),

@@ -48,7 +48,7 @@ def load_diagram(source: str | Path) -> Diagram:
     path = Path(source)
     try:
         if not path.is_file():
-            what = "this is not a file" if path.exists() else "there is no such file or starter diagram"
+            what = "this is not a file" if path.exists() else "this is neither a file nor a starter diagram"
             raise DiagramError(what, str(path), f"name a JSON file or one of {', '.join(STARTERS)}")
         with path.open("rb") as file:
             text = file.read(MAX_BYTES + 1)

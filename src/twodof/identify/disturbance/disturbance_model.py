@@ -75,7 +75,7 @@ class DisturbanceModel:
 
     @property
     def predicts(self) -> bool:
-        """Return True if a model is to be judged by its predictions: a simulation knows nothing of earlier pushes."""
+        """Return True if a model must be judged by its predictions: a simulation knows nothing of earlier pushes."""
         return bool(self.answering) or self.kind == "walk"
 
     @property

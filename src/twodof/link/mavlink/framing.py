@@ -254,7 +254,7 @@ def _culprit(message: Any) -> str:
         try:
             struct.pack(f"<{len(values)}{letter}", *values)
         except (struct.error, TypeError, OverflowError):
-            return f"{name} = {shown(value)} is no {types[name]}"
+            return f"{name} = {shown(value)} does not fit {types[name]}"
         if len(values) < count:
             return f"{name} has {len(values)} numbers, not {count}"
     return "a value does not fit its type"

@@ -67,7 +67,7 @@ def quaternion(theta: float) -> list[float]:
 
 
 def pitch(q: Sequence[float]) -> float:
-    """Return the pitch [rad], within +-pi/2, of a quaternion (w, x, y, z) of any length; NaN if it is no rotation."""
+    """Return the pitch [rad], within +-pi/2, of a quaternion (w, x, y, z) of any length; NaN without a rotation."""
     w, x, y, z = q
     square = w * w + x * x + y * y + z * z
     if not 1e-6 < square < 1e6:

@@ -30,7 +30,7 @@ TURN_S, BURST = 0.0005, 256
 REFUSED_S = 2.0
 # Linux charges a socket's buffer at least 768 bytes for a packet, even for one of a few bytes.
 PACKET_BYTES = 700
-# A peer with less than a quarter of its share of a flood, or with so few packets, is no part of it.
+# A peer with less than a quarter of its share of a flood, or with so few packets, is not part of it.
 SHARE, FEW = 4, 8
 MOST_REFUSED = 32
 # If the flooding peers are too many to list, unknown peers keep one packet in so many.

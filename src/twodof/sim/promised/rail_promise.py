@@ -166,7 +166,7 @@ def fly_lanes(
     """
     modes = {"theta0": "attitude", "v0": "velocity", "x0": "position"}
     if setpoint not in modes:
-        raise ParameterError(f"there is no step of {setpoint!r:.40}", "fly_lanes", f"give one of {', '.join(modes)}")
+        raise ParameterError(f"no step is defined for {setpoint!r:.40}", "fly_lanes", f"give one of {', '.join(modes)}")
     program = build(closed_loop(gains, controllers=controllers), BASE_DT)
     if not isinstance(program, CompiledProgram):
         raise CompileError("flights of many rigs need a C compiler", "fly_lanes", "install gcc, or the wheel ziglang")
@@ -222,7 +222,7 @@ def rail_promise(
     `RailFamily.rigs` and `fly_lanes`.
     """
     if loop not in LOOPS:
-        raise ParameterError(f"there is no promise for {shown(loop)}", "rail_promise", f"give {' or '.join(LOOPS)}")
+        raise ParameterError(f"no promise is defined for {shown(loop)}", "rail_promise", f"give {' or '.join(LOOPS)}")
     step = STEPS[loop]
     goal, duration = step.goal if goal is None else goal, step.duration if duration is None else duration
     if not 0.01 <= goal <= 1.0:

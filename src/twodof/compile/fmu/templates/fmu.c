@@ -126,7 +126,7 @@ static int advance(Instance *i, double size)
         return fail(i, "doStep comes after the initialization and before terminate");
     }
     if (!(whole >= 1.0 && beside <= 1e-6 * whole)) {
-        return fail(i, "doStep: %.9g s is no whole number of periods of %.9g s: step by a multiple of them, at most %g",
+        return fail(i, "doStep: %.9g s is not a whole number of periods of %.9g s: step by a multiple of them, at most %g",
             size, period, most_periods);
     }
     settle(m);
@@ -175,7 +175,7 @@ static int move(
     for (size_t j = 0, k = 0; j < n; j++) {
         const bool known = references[j] < sizeof variables / sizeof *variables;
         const Variable *v = variables + (known ? references[j] : 0);
-        const char *wrong = !known ? "there is no variable with the value reference %u"
+        const char *wrong = !known ? "no variable has the value reference %u"
             : !strchr(types, v->type) ? "the variable with the value reference %u has another type"
             : v->count > room - k ? "the variable with the value reference %u has more elements" : NULL;
         if (wrong) {
@@ -211,7 +211,7 @@ static int move(
 static int keep(Instance *i, void **to, const void *from)
 {
     if (!*to && !(*to = malloc(sizeof(Memory)))) {
-        return fail(i, "there is no memory for the state");
+        return fail(i, "the state does not fit into memory");
     }
     memcpy(*to, from, sizeof(Memory));
     return OK;
