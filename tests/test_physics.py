@@ -19,8 +19,7 @@ from tools.tables import PAGES, models, render
 from twodof.compile import CompiledProgram, build
 from twodof.models import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, DelayedStateSpace
 from twodof.rig.parameters import Q_AGE, lab, paper
-from twodof.rig.rig import rig
-from twodof.rig.steady_state import trim_moment
+from twodof.rig.rig import rig, trim_moment
 
 G = 9.81
 TICK = 1e-3

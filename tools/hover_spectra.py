@@ -20,7 +20,7 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.rotor_speed import rotor_speed
 from twodof.rig.parameters import load_rig
-from twodof.rig.steady_state import velocity_gain
+from twodof.rig.rig import velocity_gain
 from twodof.signals import HOVER, MODES, OFF, PERIOD
 from twodof.sim.closed_loop import ClosedLoop
 

@@ -25,8 +25,7 @@ from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FILES, GROUND, ONBOARD
 from twodof.parameters import TUNABLES
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
-from twodof.rig.rig import PARTS, rig_params
-from twodof.rig.steady_state import model_parameters, rotor_moment
+from twodof.rig.rig import PARTS, model_parameters, rig_params, rotor_moment
 from twodof.signals import HOVER, TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

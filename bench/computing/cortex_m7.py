@@ -16,9 +16,8 @@ from bench.measure import Figure
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
-from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor, find_emulator
+from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, CortexM7, Processor, find_emulator
 from twodof.compile.cortex_m7.report import FUNCTIONS, CortexM7Report, Usage, image_sizes, measure
-from twodof.compile.cortex_m7.target import CortexM7
 from twodof.errors import CompileError
 from twodof.flight.cascade import cascade
 from twodof.flight.core import core

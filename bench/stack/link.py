@@ -15,7 +15,7 @@ from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps
 from twodof.link.transport import open_transport
-from twodof.link.transport.memory import memory_pair
+from twodof.link.transport.base import memory_pair
 
 # DESIGN section 6.
 LOAD_SECONDS = 0.1

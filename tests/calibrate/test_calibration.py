@@ -11,7 +11,7 @@ from twodof.calibrate import FLIGHTS, PRIOR_WEIGHT, UNKNOWNS, calibrate, find_fl
 from twodof.errors import IdentificationError, LogError
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import CALIBRATED, TABLE, lab
-from twodof.rig.steady_state import moment_gain, stiffness, velocity_damping, velocity_gain
+from twodof.rig.rig import moment_gain, stiffness, velocity_damping, velocity_gain
 from twodof.sim.resimulation import resimulation_loop
 
 pytestmark = pytest.mark.slow

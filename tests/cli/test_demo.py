@@ -12,7 +12,7 @@ import pytest
 
 from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.flight_series import SeriesFlight
+from twodof.experiment.fly import SeriesFlight
 
 pytestmark = pytest.mark.slow
 

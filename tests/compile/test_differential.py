@@ -29,7 +29,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.library import Convert, DiscreteFilter, Divide, Minimum, Product, Sum
 from twodof.compile.c import expressions
-from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.cortex_m7.processor import CortexM7
 from twodof.compile.native import Native
 from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm

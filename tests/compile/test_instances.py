@@ -8,7 +8,7 @@ import pytest
 from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.reference import Reference
 from twodof.compile import build
-from twodof.compile.instances import Instances
+from twodof.compile.machine import Instances
 from twodof.errors import CompileError, DiagramError, ParameterError
 
 

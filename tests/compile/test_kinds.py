@@ -37,7 +37,7 @@ from twodof.blocks import (
 )
 from twodof.blocks.reference import Reference
 from twodof.compile import build
-from twodof.compile.stepper import Stepper
+from twodof.compile.machine import Stepper
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,7 @@ import pytest
 from twodof.blocks import Diagram
 from twodof.blocks.library import FirstOrder, Gain
 from twodof.compile import CompiledProgram, build
-from twodof.compile.machine import CompiledMachine
-from twodof.compile.stepper import Rerun, Stepper
+from twodof.compile.machine import CompiledMachine, Rerun, Stepper
 from twodof.errors import DiagramError, ParameterError
 from twodof.flight.core import OUTPUTS, core
 from twodof.flight.declarations import FAILSAFE_INPUTS as SAFETY_INPUTS
@@ -86,7 +85,7 @@ def test_names_that_are_not_there_arrays_and_inputs_left_out_are_refused() -> No
     made = machine(d)
     with pytest.raises(DiagramError, match="left out"):
         Stepper(made, ["a"], ["y"])
-    with pytest.raises(DiagramError, match="no scalar called 'b'"):
+    with pytest.raises(DiagramError, match="no scalar named 'b'"):
         Stepper(made, ["a", "b"], ["y"])
     flight = machine(core())
     names = [name for name, *_ in INPUTS]

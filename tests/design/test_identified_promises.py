@@ -5,8 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from twodof.design.fitted_noise import FittedNoise
-from twodof.design.pitch_family import PARAMETERS, PitchFamily
+from twodof.design.pitch_family import PARAMETERS, FittedNoise, PitchFamily
 from twodof.design.promise import promise
 from twodof.design.robustness import robustness
 from twodof.design.sampled_controller import SampledController

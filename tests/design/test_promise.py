@@ -8,9 +8,8 @@ import pytest
 
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import TILT_WALK, PitchLoop
-from twodof.design.promise import Promise, promise
+from twodof.design.promise import Promise, interval, promise
 from twodof.design.sampled_controller import SampledController
-from twodof.design.step_statistics import interval
 from twodof.errors import ParameterError
 from twodof.flight.gains import STUDENT
 from twodof.flight.starters.attitude import pid_attitude

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from twodof.cli.app import run
+from twodof.design.designed_controller import acting_moment, saturated_step
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.sampled_controller import SampledController
-from twodof.design.saturated_step import acting_moment, saturated_step
 from twodof.errors import DiagramError, ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flight.starters.attitude import pid_attitude

@@ -16,7 +16,7 @@ from twodof.identify.experiments import cut
 from twodof.identify.identified_flight import identify_flight
 from twodof.identify.ready_made import structure_for
 from twodof.rig.parameters import lab
-from twodof.rig.steady_state import model_parameters
+from twodof.rig.rig import model_parameters
 from twodof.signals import Q_AGE
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 from twodof.errors import TwodofError
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.flight_series import fly_series
+from twodof.experiment.fly import fly_series
 
 pytestmark = pytest.mark.slow
 

@@ -20,9 +20,8 @@ from tests.experiment.drones import drone_process, drone_thread
 from tests.patience import PATIENCE_S
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.experiments import EXPERIMENTS, Experiment, Script, experiment, script
-from twodof.experiment.flight import Flight, Laboratory, data_checks, received
+from twodof.experiment.flight import COLUMNS, NAMES, Flight, Laboratory, ReceivedSamples, data_checks, received
 from twodof.experiment.fly import fly
-from twodof.experiment.received import COLUMNS, NAMES, ReceivedSamples
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, named_causes
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.steps import BOOT

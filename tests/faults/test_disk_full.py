@@ -14,7 +14,7 @@ from tests.faults.test_clocks import Clock, signed
 from tests.faults.virtual_time import on_virtual_time
 from tests.faults.whole import Whole, silent, stands
 from twodof.errors import LogError, ParameterError, RecordingError
-from twodof.flightlog.recovery import recover
+from twodof.flightlog.mcap_file import recover
 from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
 
 pytestmark = pytest.mark.slow

@@ -22,7 +22,7 @@ from tests.faults.cable import Cable
 from tests.faults.whole import DESCEND, LEVEL, OFF, tell
 from tests.patience import PATIENCE_S, patiently
 from twodof.errors import LinkLost, Rejected, Timeout
-from twodof.flightlog.recovery import recover
+from twodof.flightlog.mcap_file import recover
 from twodof.flightlog.ulog_file import scan_ulog
 from twodof.gcs.drone import Drone
 

@@ -14,9 +14,8 @@ from twodof.flightlog import mcap_encoder, mcap_stream, provenance
 from twodof.flightlog.files import attachments, read_log
 from twodof.flightlog.mcap_decoder import McapContents, scan
 from twodof.flightlog.mcap_encoder import Attachment
-from twodof.flightlog.mcap_file import to_log
+from twodof.flightlog.mcap_file import recover, to_log
 from twodof.flightlog.recorder import Recorder
-from twodof.flightlog.recovery import recover
 
 pytestmark = pytest.mark.slow
 

@@ -16,7 +16,7 @@ from tests.fuzz.runner import mutated
 from twodof.errors import LogError
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log
-from twodof.flightlog.recovery import recover
+from twodof.flightlog.mcap_file import recover
 
 SUFFIXES = (".mat", ".mcap", ".parquet", ".csv", ".ulg")
 RECOVERED = (".mcap", ".ulg")

@@ -22,9 +22,9 @@ from tests.patience import PATIENCE_S
 from twodof.errors import LogError, RecordingError
 from twodof.flightlog.files import attachments, read_log
 from twodof.flightlog.mcap_encoder import Attachment
+from twodof.flightlog.mcap_file import recover
 from twodof.flightlog.mcap_stream import McapStream
 from twodof.flightlog.recorder import Recorder
-from twodof.flightlog.recovery import recover
 from twodof.signals import TOPICS
 
 pytestmark = pytest.mark.slow

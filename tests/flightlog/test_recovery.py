@@ -11,8 +11,8 @@ from twodof.cli.app import run
 from twodof.errors import LogError
 from twodof.flightlog.files import read_log
 from twodof.flightlog.mcap_decoder import McapContents, scan
+from twodof.flightlog.mcap_file import recover
 from twodof.flightlog.recorder import Recorder
-from twodof.flightlog.recovery import recover
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from tests.patience import PATIENCE_S
 from twodof.errors import LogError, RecordingError
 from twodof.flightlog.files import convert, read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.flightlog.recovery import recover
+from twodof.flightlog.mcap_file import recover
 from twodof.flightlog.ulog_file import scan_ulog
 from twodof.flightlog.ulog_writer import ULogWriter
 from twodof.signals import TOPICS

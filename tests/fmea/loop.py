@@ -12,8 +12,7 @@ from tests.fmea.faults import Fault, FlagFault, Mirrored, Noise
 from twodof.blocks import Block, Diagram, Param, Port, State, int32, maximum, to_int32, where
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile.builder import build
-from twodof.compile.instances import Instances
-from twodof.compile.machine import CompiledProgram
+from twodof.compile.machine import CompiledProgram, Instances
 from twodof.flight.cascade import cascade
 from twodof.flight.core import PreviousPitch, core
 from twodof.flight.failsafe.causes_and_actions import ACTIONS

@@ -7,9 +7,8 @@ from tests.fuzz.target import Target, file
 from twodof.errors import LogError
 from twodof.flightlog.files import read_log
 from twodof.flightlog.mcap_encoder import MAGIC, Attachment
-from twodof.flightlog.mcap_file import write_mcap
+from twodof.flightlog.mcap_file import recover, write_mcap
 from twodof.flightlog.recorder import Recorder
-from twodof.flightlog.recovery import recover
 
 
 def seeds() -> list[bytes]:

@@ -6,7 +6,7 @@ from tests.flightlog.test_ulog_file import px4_log
 from tests.fuzz.target import Target, file
 from twodof.errors import LogError
 from twodof.flightlog.files import read_log
-from twodof.flightlog.recovery import recover
+from twodof.flightlog.mcap_file import recover
 from twodof.flightlog.ulog_writer import ULogWriter
 
 

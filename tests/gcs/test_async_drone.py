@@ -12,7 +12,7 @@ from tests.gcs.peer import Peer, flight
 from twodof.errors import LinkLost, ParameterError, RefusalReason, Rejected, Timeout
 from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.identity import OWN_SYSTEMS
+from twodof.gcs.session import OWN_SYSTEMS
 from twodof.link.mavlink.messages import message
 
 

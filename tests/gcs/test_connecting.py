@@ -16,7 +16,7 @@ from tests.fleet.drone_numbers import free_numbers
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError, LinkLost
-from twodof.gcs import Drone, discover, identity
+from twodof.gcs import Drone, discover, session
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
@@ -143,28 +143,28 @@ def test_a_drone_is_found_over_a_network() -> None:
 TWO = (1001, 1002)  # ids that no drone of another test has
 ANOTHER = f"""
 import sys
-from twodof.gcs import identity
-identity.OWN_SYSTEMS = {TWO}
-print(identity.drawn(), flush=True)
+from twodof.gcs import session
+session.OWN_SYSTEMS = {TWO}
+print(session.drawn(), flush=True)
 sys.stdin.read()
 """
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="numbers are kept apart on Linux only")
 def test_a_clients_id_is_its_own_until_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(identity, "OWN_SYSTEMS", TWO)
+    monkeypatch.setattr(session, "OWN_SYSTEMS", TWO)
     other = subprocess.Popen([sys.executable, "-c", ANOTHER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     with other:
         assert other.stdout is not None
         theirs = int(other.stdout.readline())
         for _ in range(8):
-            ours = identity.drawn()
+            ours = session.drawn()
             assert ours != theirs
-            identity.give_back(ours)
+            session.give_back(ours)
         other.kill()
-    both = {identity.drawn(), identity.drawn()}
+    both = {session.drawn(), session.drawn()}
     for number in both:
-        identity.give_back(number)
+        session.give_back(number)
     assert both == set(TWO)
 
 

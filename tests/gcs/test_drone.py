@@ -19,7 +19,7 @@ from tests.patience import PATIENCE_S
 from twodof.errors import ExperimentError, LinkError, LinkLost, LogError, ParameterError, RecordingError, Rejected
 from twodof.excitation import Doublet, Impulse
 from twodof.flightlog import read_log, recover, write_log
-from twodof.gcs import identity
+from twodof.gcs import session
 from twodof.gcs.drone import Drone
 from twodof.gcs.recording import TOGETHER
 from twodof.signals import TOPICS
@@ -279,7 +279,7 @@ def test_two_clients_that_choose_no_id_are_two(there: OnBoard, monkeypatch: pyte
         first.arm()
         mine = first.there.session.connection.system
         if same:
-            monkeypatch.setattr(identity, "OWN_SYSTEMS", (mine, mine + 1))
+            monkeypatch.setattr(session, "OWN_SYSTEMS", (mine, mine + 1))
             monkeypatch.setattr(secrets, "choice", lambda rows: rows[0])
         with pytest.raises(Rejected, match=f"{mine}/190 holds the lease"):
             Drone.connect(there.url, timeout=PATIENCE_S)
@@ -319,7 +319,7 @@ def test_a_callback_that_asks_the_drone_is_told_so(there: OnBoard) -> None:
 
 SCRIPT = """
 import sys
-from twodof.gcs import identity
+from twodof.gcs import session
 from twodof.gcs.drone import Drone
 drone = Drone.connect(sys.argv[1])
 drone.run(0.3)

@@ -10,8 +10,8 @@ from tests.identify.signals import DT, doublet, pitch_record
 from twodof.errors import DiagramError, IdentificationError
 from twodof.identify.frequency_response import FrequencyResponse, frequency_response
 from twodof.identify.greybox import fit
-from twodof.identify.model_response import model_response
 from twodof.identify.record import Record
+from twodof.identify.simulation import model_response
 from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate
 

@@ -22,7 +22,7 @@ from twodof.identify.ready_made import (
     true_values,
 )
 from twodof.rig.parameters import load_rig
-from twodof.rig.steady_state import model_parameters
+from twodof.rig.rig import model_parameters
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from twodof.errors import IdentificationError
 from twodof.identify import Record, fit, merge
-from twodof.identify.model_response import linear_form, model_response
+from twodof.identify.simulation import linear_form, model_response
 from twodof.models import PolynomialModel, armax, arx, bj, oe
 
 pytestmark = pytest.mark.slow

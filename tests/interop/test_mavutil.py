@@ -14,7 +14,7 @@ import pytest
 from tests.experiment.drones import drone_thread
 from tests.patience import PATIENCE_S
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.parameters.user_parameters import user_parameters
+from twodof.fcu.parameters.table import user_parameters
 from twodof.flight.starters import starter
 from twodof.sim.virtual_drone import VirtualDrone
 

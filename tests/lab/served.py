@@ -21,7 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 from tests.patience import PATIENCE_S, patiently
 from twodof.errors import LogError
 from twodof.fleet.virtual_drone import virtual_drone
-from twodof.flightlog.recovery import recover
+from twodof.flightlog.mcap_file import recover
 from twodof.gcs.loop_thread import LoopThread
 from twodof.lab.server import serve
 from twodof.lab.settings import LabSettings

@@ -18,7 +18,7 @@ from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
 from twodof.link.transport import open_transport, udp
-from twodof.link.transport.memory import memory_pair
+from twodof.link.transport.base import memory_pair
 
 pytestmark = pytest.mark.slow
 

@@ -40,7 +40,7 @@ from twodof.link.signing import (
     write_key,
 )
 from twodof.link.transport import open_transport
-from twodof.link.transport.memory import memory_pair
+from twodof.link.transport.base import memory_pair
 
 pytestmark = pytest.mark.slow
 

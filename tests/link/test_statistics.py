@@ -4,8 +4,8 @@ import random
 
 import pytest
 
+from twodof.link.connection import MOST_SENDERS, LinkStatistics, RoundTrips, SenderCounts
 from twodof.link.mavlink.framing import Frame
-from twodof.link.statistics import MOST_SENDERS, LinkStatistics, RoundTrips, SenderCounts
 
 
 def counted(sequences: list[int]) -> SenderCounts:

@@ -18,7 +18,7 @@ from twodof.models.dry_friction import CartPush
 from twodof.models.structure import Structure
 from twodof.models.structures import pitch_on_cart, pitch_rate, rail
 from twodof.rig.parameters import load_rig
-from twodof.rig.steady_state import model_parameters
+from twodof.rig.rig import model_parameters
 
 pytestmark = pytest.mark.slow
 

@@ -28,7 +28,7 @@ from twodof.report.characterisation.compose import (
 from twodof.report.characterisation.demonstration import truth_of
 from twodof.report.characterisation.paper_figures import figures
 from twodof.report.content import Content, ReportTable, Span, Subject
-from twodof.report.plots.time_figures import time_figure
+from twodof.report.plots.canvas import time_figure
 from twodof.report.report_page import to_html
 from twodof.report.wording import with_sigma
 

@@ -11,8 +11,8 @@ from twodof.blocks import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.rig.parameters import lab, paper
+from twodof.rig.rig import moment_gain, rotor_moment, velocity_gain
 from twodof.rig.rotors import BatteryPack, Rotors
-from twodof.rig.steady_state import moment_gain, rotor_moment, velocity_gain
 from twodof.signals import HOVER
 
 DT = 1e-3

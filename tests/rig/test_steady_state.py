@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twodof.rig.parameters import Q_AGE, lab, paper
-from twodof.rig.steady_state import (
+from twodof.rig.rig import (
     moment_gain,
     rail_force,
     restoring_moment,

@@ -18,9 +18,8 @@ from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flight.starters import starter
 from twodof.models import PAPER_PITCH_RATE
 from twodof.rig.parameters import load_rig
-from twodof.rig.rig import BASE_DT
+from twodof.rig.rig import BASE_DT, model_parameters
 from twodof.rig.rotors import RING
-from twodof.rig.steady_state import model_parameters
 from twodof.signals import HOVER, PERIOD, Q_AGE
 from twodof.sim.closed_loop import ClosedLoop, InitialState, closed_loop
 from twodof.sim.linear import LOOPS, _filter_at_rest, cascade_loop, cascade_margins, publishing_ages
@@ -190,7 +189,7 @@ def test_a_rig_from_a_model_has_the_models_figures(tmp_path: Any) -> None:
 
 @pytest.mark.long
 def test_bad_input_is_refused_with_the_remedy(tmp_path: Any) -> None:
-    with pytest.raises(DiagramError, match="unknown loop 'yaw'"):
+    with pytest.raises(DiagramError, match="no loop named 'yaw'"):
         cascade_loop("yaw")
     for nothing in ({"a": 1.0}, {"lag": 0.01}):
         with pytest.raises(ParameterError, match="a rig needs one of"):

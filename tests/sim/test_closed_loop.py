@@ -13,7 +13,7 @@ from twodof.errors import ExperimentError, ParameterError
 from twodof.flight.failsafe.state_machine import FLYING
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.rig.parameters import lab, paper
-from twodof.rig.steady_state import trim_moment
+from twodof.rig.rig import trim_moment
 from twodof.signals import HOVER, MODES
 from twodof.sim.closed_loop import ClosedLoop, InitialState, closed_loop
 

@@ -14,7 +14,7 @@ from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.steps import BOOT
 from twodof.rig.parameters import lab
-from twodof.rig.steady_state import rail_force
+from twodof.rig.rig import rail_force
 from twodof.signals import HOVER, MODES, PERIOD
 from twodof.sim.closed_loop import InitialState
 from twodof.sim.flight_segment import default_window, read_segment

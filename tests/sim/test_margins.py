@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tests.flight.failsafe.expr_arrays import tell
 from twodof.compile.builder import build
-from twodof.compile.instances import Instances
-from twodof.compile.machine import CompiledProgram
+from twodof.compile.machine import CompiledProgram, Instances
 from twodof.experiment.experiments import EXPERIMENTS, script
 from twodof.experiment.flight import Laboratory
 from twodof.flight.failsafe.causes_and_actions import BIT

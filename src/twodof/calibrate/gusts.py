@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
+from twodof.rig.rig import stiffness
 from twodof.rig.rotors import lift
-from twodof.rig.steady_state import stiffness
 from twodof.signals import PERIOD
 from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.resimulation import LoggedFlight, fit_percent

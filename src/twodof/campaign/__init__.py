@@ -1,7 +1,6 @@
 """Campaigns: many flights of a plan over all cores, resumed after a kill, which return figures only."""
 
-from twodof.campaign.plan import Run, drawn, plan
-from twodof.campaign.row_file import RowFile
+from twodof.campaign.plan import RowFile, Run, drawn, plan
 from twodof.campaign.workers import campaign
 
 __all__ = ["RowFile", "Run", "campaign", "drawn", "plan"]

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from twodof.campaign.plan import Run
-from twodof.campaign.row_file import Row
+from twodof.campaign.plan import Row, Run
 from twodof.errors import ExperimentError
 from twodof.excitation import Multisine, ThreeTwoOneOne
 from twodof.experiment.experiments import EXPERIMENTS, Experiment

@@ -15,8 +15,7 @@ from multiprocessing.resource_tracker import ensure_running
 from pathlib import Path
 from typing import Any
 
-from twodof.campaign.plan import Run
-from twodof.campaign.row_file import Row, RowFile, row_line
+from twodof.campaign.plan import Row, RowFile, Run, row_line
 from twodof.errors import ExperimentError, TwodofError
 from twodof.flightlog.provenance import versions
 

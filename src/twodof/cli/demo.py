@@ -13,7 +13,7 @@ from twodof.cli.output import exit_unless, print_result, progress, say_line, tab
 from twodof.errors import LogError
 from twodof.experiment.experiments import IDENTIFICATION, Experiment
 from twodof.experiment.flight import Flight, Laboratory
-from twodof.experiment.flight_series import fly_series
+from twodof.experiment.fly import fly_series
 from twodof.flightlog.atomic import write_text
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.provenance import versions

@@ -32,8 +32,8 @@ from twodof.flight.starters import DIAGRAM_HELP, load_diagram, new_diagram
 from twodof.flight.templates import TEMPLATES, TemplateFit, nearest_template, template_fit
 from twodof.flightlog.atomic import write_text
 from twodof.flightlog.files import check_folder
-from twodof.report.code_page import code_page
 from twodof.report.diagram_svg import find, to_svg
+from twodof.report.report_page import code_page
 from twodof.report.state_machine_svg import machine_at, machine_svg
 
 diagram = group("Start, check, test, draw, read, export and linearize diagrams, and say the margins of their loops.")

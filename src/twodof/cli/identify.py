@@ -21,7 +21,6 @@ from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, kind_of
 from twodof.identify.greybox import fit, named_model
-from twodof.identify.model_response import linear_form
 from twodof.identify.ready_made import (
     AUTO,
     FLOWN_AS,
@@ -38,6 +37,7 @@ from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch
 from twodof.identify.simple_velocity import SimpleVelocity
 from twodof.identify.simulation import compare as compare_models
+from twodof.identify.simulation import linear_form
 from twodof.models.polynomial import FORMS, PolynomialModel, is_named
 from twodof.models.structure import Structure
 from twodof.report.plots.flight_view import SUFFIXES, check_place

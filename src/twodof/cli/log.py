@@ -18,8 +18,8 @@ from twodof.flightlog.contents import describe
 from twodof.flightlog.files import check_folder, read_log
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.mcap_file import recover as recover_log
 from twodof.flightlog.public_data import FOREIGN_FILES, PUBLIC_LOGS, find
-from twodof.flightlog.recovery import recover as recover_log
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
 from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
 from twodof.report.step_responses import SETTLED

@@ -8,7 +8,7 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.image import OPTIMISE
-from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.cortex_m7.processor import CortexM7
 from twodof.compile.machine import CompiledProgram
 from twodof.compile.native import Native
 from twodof.compile.program.lower import lower

@@ -2,16 +2,15 @@
 
 from twodof.design.cascade import CascadeDesign, cascade_design, cascade_hinf
 from twodof.design.closed_loop_poles import Motion, closed_loop_poles, root_locus
+from twodof.design.designed_controller import SaturatedStep, saturated_step
 from twodof.design.loop_transfer import LoopTransfer
-from twodof.design.margins import GainCrossing, LoopMargins, PhaseCrossing, margins
+from twodof.design.margins import DiskMargin, GainCrossing, LoopMargins, PhaseCrossing, margins
 from twodof.design.own_loop import own_loop, read_rational, step_response
 from twodof.design.pid import PidGains, pid_at, shaped_pid
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import Promise, promise
 from twodof.design.robustness import Robustness, robustness
 from twodof.design.sampled_controller import SampledController
-from twodof.design.saturated_step import SaturatedStep, saturated_step
-from twodof.design.sensitivity import DiskMargin
 from twodof.design.specification import Specification, check, read_specification
 from twodof.design.state_feedback import lqg_attitude, lqi
 from twodof.design.structured_hinf import structured_hinf

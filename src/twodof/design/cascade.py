@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.frequencies import refined_roots
+from twodof.design.closed_loop_poles import refined_roots
 from twodof.design.loop_transfer import LoopTransfer
 from twodof.design.margins import PhaseCrossing
 from twodof.design.pid import PidGains, pid_at, shaped_pid

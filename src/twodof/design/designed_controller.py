@@ -5,18 +5,131 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.reference.interpreter import Reference
 from twodof.design.cascade import SEPARATION, CascadeDesign, cascade_design, cascade_hinf
 from twodof.design.pitch_family import PitchFamily
-from twodof.design.promise import MEMBERS, Promise, promise
+from twodof.design.pitch_loop import AHEAD, PitchLoop, Q
+from twodof.design.promise import DURATION, GOAL, MEMBERS, Promise, promise
 from twodof.design.robustness import Robustness, robustness
 from twodof.design.sampled_controller import SampledController
-from twodof.design.saturated_step import SaturatedStep, saturated_step
 from twodof.design.specification import Requirement, Specification, check
 from twodof.design.state_feedback import lqg_attitude
-from twodof.errors import ParameterError, shown
+from twodof.design.tuning_preview import SETTLED
+from twodof.errors import ParameterError, is_number, shown
 from twodof.flight.starters.attitude import pid_attitude
+from twodof.models.lti import step_figures
 from twodof.models.plant import PitchRate
+from twodof.signals import HOVER, PERIOD
+
+Array = NDArray[np.float64]
+
+WOUND_UP = 0.02
+"""Share of the step: so much more overshoot by the motors' limits counts as windup of the integral."""
+
+
+@dataclass(frozen=True)
+class SaturatedStep:
+    """A step of theta by `goal` [rad]: for `saturated` seconds the motors give less moment than M asks for.
+
+    `overshoot` (a share) and `settling_time` [s] into 5 % are with the motors' limits, the `linear_` ones without. A
+    time that is not reached is infinite. `largest` [rad] is the step from which on M reaches the limit.
+    """
+
+    goal: float
+    saturated: float
+    overshoot: float
+    settling_time: float
+    linear_overshoot: float
+    linear_settling_time: float
+    largest: float
+
+    @property
+    def winds_up(self) -> bool:
+        """Return True if the limits add overshoot: the integral has grown while the motors were saturated."""
+        return self.saturated > 0.0 and self.overshoot > self.linear_overshoot + WOUND_UP
+
+    @property
+    def text(self) -> str:
+        """The result as a sentence."""
+        step = f"a step of {math.degrees(self.goal):.3g} deg"
+        if self.saturated == 0.0:
+            return (
+                f"{step} keeps the motors within their limits; from {math.degrees(self.largest):.3g} deg on it does not"
+            )
+        more = f"overshoot {100.0 * self.overshoot:.1f} %, {100.0 * self.linear_overshoot:.1f} % without the limits"
+        progress = f"{step} saturates the motors for {1e3 * self.saturated:.0f} ms: {more}"
+        return f"{progress}: the integral winds up" if self.winds_up else progress
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data; an infinite time is null."""
+        plain = {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
+        return {**plain, "winds_up": self.winds_up}
+
+
+def acting_moment(moment: float, thrust: float = HOVER) -> float:
+    """Return the part of M that acts at `thrust`: each of the two pairs of motors is limited to 0 to 1."""
+    return 0.5 * (min(max(thrust + moment, 0.0), 1.0) - min(max(thrust - moment, 0.0), 1.0))
+
+
+def saturated_step(
+    diagram: Diagram,
+    family: PitchFamily,
+    goal: float = GOAL,
+    duration: float = DURATION,
+    progress: Callable[[float], None] = lambda share: None,
+) -> SaturatedStep:
+    """Simulate a step of theta by `goal` [rad] from rest on the estimate of `family`, without gust and noise.
+
+    `diagram` fits the template attitude_control. The reference interpreter runs it with all its limits; in hover the
+    motors limit M as `acting_moment` says. Raises DiagramError for another diagram, ParameterError for a step that is
+    not .001 to 1.5 rad and a duration that is not .1 to 20 s.
+    """
+    if not (is_number(goal, 1e-3, 1.5) and is_number(duration, 0.1, 20.0)):
+        what = f"a step of {shown(goal)} rad for {shown(duration)} s is out of range"
+        raise ParameterError(what, "saturated_step", "give .001 to 1.5 rad, and .1 to 20 s")
+    controller = SampledController.of(diagram)
+    loop = PitchLoop(family.nominal(), controller)
+    steps = round(duration / PERIOD) + 1
+    linear, _, moments = loop.simulate(np.full(steps, goal))
+    theta, clipped = _flown(diagram, loop, goal, steps, progress)
+    time = np.arange(steps) * PERIOD
+    figures = [step_figures(time, y, 0.0, goal, SETTLED) for y in (theta, linear[:, 0])]
+    settled = [math.inf if math.isnan(one.settling_time) else float(one.settling_time) for one in figures]
+    peak = float(np.abs(moments).max())
+    return SaturatedStep(
+        goal,
+        clipped * PERIOD,
+        figures[0].overshoot,
+        settled[0],
+        figures[1].overshoot,
+        settled[1],
+        goal * HOVER / peak if peak > 0.0 else math.inf,
+    )
+
+
+def _flown(
+    diagram: Diagram, loop: PitchLoop, goal: float, steps: int, progress: Callable[[float], None]
+) -> tuple[Array, int]:
+    """Return theta (steps,) under the diagram itself, and the number of samples with a moment beyond the motors."""
+    a, b = (part[0] for part in loop.plant)
+    machine = Reference(diagram, PERIOD).machine()
+    x, theta, clipped = np.zeros(len(a)), np.empty(steps), 0
+    given = {"theta_0": goal, "q_0": 0.0, "FLAG_RESET_INT": False, "FLAG_ATTITUDE_ENABLED": True}
+    for k in range(steps):
+        if k % 50 == 0:
+            progress(k / steps)
+        theta[k] = x[0] + AHEAD * x[Q]
+        moment = float(machine.step({**given, "theta": float(x[-1]), "q": float(x[Q])})["M"])
+        acting = acting_moment(moment)
+        # The diagram's own limit is the motors' one where it stands at it.
+        clipped += abs(moment) > HOVER - 1e-9
+        x = a @ x + b * acting
+    return theta, clipped
+
 
 CROSSOVER = 20.0
 """Default crossover of the rate loop [rad/s]."""

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.margins import margins
+from twodof.design.margins import DiskMargin, margins
 from twodof.design.pitch_family import PARAMETERS, PitchFamily, PitchMembers
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.sampled_controller import SampledController
-from twodof.design.sensitivity import DiskMargin
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.closed_loop_poles import logarithms
-from twodof.design.frequencies import frequencies_of_size
+from twodof.design.closed_loop_poles import frequencies_of_size, logarithms
 from twodof.errors import ParameterError
 from twodof.models.lti import check_system, transfer
 

@@ -13,10 +13,9 @@ from twodof.blocks.schema.json_form import from_json
 from twodof.design.margins import LoopMargins, margins
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PITCH_LOOPS, PitchLoop, pitch_loops
-from twodof.design.promise import CHANNELS, GOAL, LEVEL, Promise, promise
+from twodof.design.promise import CHANNELS, GOAL, LEVEL, Promise, interval, promise
 from twodof.design.robustness import Robustness, robustness
 from twodof.design.sampled_controller import SampledController
-from twodof.design.step_statistics import interval
 from twodof.errors import ParameterError
 from twodof.flight.gains import Gains
 from twodof.flight.templates import ATTITUDE

@@ -1,26 +1,32 @@
-"""Flying an experiment over MAVLink, on a virtual drone or a real one, in lockstep or in real time."""
+"""Flying an experiment, or a series of them, over MAVLink: a virtual drone or a real one, lockstep or real time."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import product
+from queue import SimpleQueue
+from threading import Event, Thread
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
+from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout, TwodofError
 from twodof.experiment.experiments import LOOP, Experiment, Script, on_wire, script
 from twodof.experiment.flight import (
+    COLUMNS,
     MARGIN,
     PITCH_MARGIN,
     Flight,
     FlightCheck,
     Laboratory,
+    ReceivedSamples,
     data_checks,
     not_judged,
     ready,
     received,
+    safety_in,
 )
-from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
+from twodof.fleet.virtual_drone import virtual_drone
 from twodof.flight.failsafe.causes_and_actions import CAUSES
 from twodof.flightlog.provenance import versions
 from twodof.gcs.active_controller import ActiveController, ParameterChanges
@@ -362,3 +368,53 @@ class _Course:
         values = np.asarray(self.rows.values, dtype=np.float64)[:, COLUMNS.index(column)]
         known = values[np.isfinite(values)]
         return float(known[-1]) if known.size else float("nan")
+
+
+SeriesFlight = tuple[str, str, int, Flight]
+"""Rig, experiment, seed and the flight."""
+
+
+def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) -> Iterator[SeriesFlight]:
+    """Fly the experiments `names` with each of the `seeds` on a virtual drone of each rig, in lockstep, side by side.
+
+    Yields each flight when it ends. Raises what `fly` raises. All drones end with the iterator.
+    """
+    plan = list(product(names, seeds))
+    events: SimpleQueue[SeriesFlight | TwodofError | None] = SimpleQueue()
+    ended = Event()
+
+    def go_on(phase: str, share: float) -> None:
+        if ended.is_set():
+            raise ExperimentError("the series has ended", "fly_series")
+
+    def fly_all(rig: str) -> None:
+        last: TwodofError | None = ExperimentError("its flights ended by a fault", f"rig {rig}", "read the output")
+        try:
+            laboratory = Laboratory(rig)
+            with virtual_drone(rig) as url, Drone.connect(url) as drone:
+                drone.parameters["SDLOG_MODE"] = -1  # no log on board
+                for name, seed in plan:
+                    events.put((rig, name, seed, fly(name, drone, seed, laboratory=laboratory, progress=go_on)))
+            last = None
+        except TwodofError as error:
+            last = error
+        finally:
+            events.put(last)
+
+    threads = [Thread(target=fly_all, args=(rig,), daemon=True) for rig in rigs]
+    for thread in threads:
+        thread.start()
+    left = len(threads)
+    try:
+        while left:
+            event = events.get()
+            if isinstance(event, TwodofError):
+                raise event
+            if event is None:
+                left -= 1
+            else:
+                yield event
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()

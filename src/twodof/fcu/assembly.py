@@ -10,20 +10,18 @@ from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.flight_code import ControllerIdentity, ControlStep
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
 from twodof.fcu.control.loop import FlightController, OnboardEventBus
-from twodof.fcu.mavlink.batches import BatchService
 from twodof.fcu.mavlink.clients import Clients, LeaseService
 from twodof.fcu.mavlink.command_service import CommandService, StatusTextService, StorageMonitor
 from twodof.fcu.mavlink.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.file_tree import FileTree, Metadata
 from twodof.fcu.mavlink.ftp import FileTransfer
 from twodof.fcu.mavlink.lockstep import LockstepService
-from twodof.fcu.mavlink.log_download import LogDownload
-from twodof.fcu.mavlink.log_stream import LogStreamService
+from twodof.fcu.mavlink.log_transfer import LogDownload, LogStreamService
 from twodof.fcu.mavlink.message_requests import MessageRequests, MissionService, answer_versions
 from twodof.fcu.mavlink.parameter_service import ParameterService, TransactionService
 from twodof.fcu.mavlink.service import Service, TextSent, Vehicle
 from twodof.fcu.mavlink.setpoint_service import ExcitationService, SetpointService
-from twodof.fcu.mavlink.streams import Heartbeat, StreamService
+from twodof.fcu.mavlink.streams import BatchService, Heartbeat, StreamService
 from twodof.fcu.mavlink.vehicle_commands import ArmingCommands, ModeService, ReloadCommand, StorageCommand
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore

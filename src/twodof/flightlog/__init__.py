@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from twodof.flightlog.log import Channel as Channel
     from twodof.flightlog.log import FlightLog as FlightLog
     from twodof.flightlog.log import Gap as Gap
+    from twodof.flightlog.mcap_file import Recovered as Recovered
+    from twodof.flightlog.mcap_file import recover as recover
     from twodof.flightlog.recorder import Recorder as Recorder
-    from twodof.flightlog.recovery import Recovered as Recovered
-    from twodof.flightlog.recovery import recover as recover
     from twodof.flightlog.ulog_writer import ULogWriter as ULogWriter
 
 _HOMES = {

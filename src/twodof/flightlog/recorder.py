@@ -1,7 +1,7 @@
 """Recorder: every topic at full rate into an MCAP file that is readable up to the last acknowledged sample.
 
 Schemas, channels, provenance and attachments come first. Then come chunks with checksums, one each quarter of a second
-by default, each followed by its index and an fsync. So `recovery.recover` finds every acknowledged sample, however the
+by default, each followed by its index and an fsync. So `mcap_file.recover` finds every acknowledged sample, however the
 process or the machine ends, and nothing false.
 """
 

@@ -26,16 +26,14 @@ from twodof.gcs.arming import DroneArming
 from twodof.gcs.clock import DroneClock, DroneRestarted
 from twodof.gcs.commands import CommandSender
 from twodof.gcs.discovery import open_link
-from twodof.gcs.drone_state import DroneVersion, StateTracker, StatusTexts, version_of
-from twodof.gcs.drone_view import DroneView
+from twodof.gcs.drone_state import DroneVersion, DroneView, StateTracker, StatusTexts, version_of
 from twodof.gcs.excitation_player import ExcitationPlayback, ExcitationPlayer
 from twodof.gcs.files import AsyncFiles, AsyncLogs
 from twodof.gcs.full_rate import BATCH, TRUTH, BatchRows, FullRateSubscription, TruthRows
-from twodof.gcs.identity import drawn, give_back, identity
 from twodof.gcs.lease import LeaseClient
 from twodof.gcs.parameters import AsyncParameters
 from twodof.gcs.recording import Recording, record
-from twodof.gcs.session import SILENT_S, Deadline, DroneSession, ProgramPaused
+from twodof.gcs.session import SILENT_S, Deadline, DroneSession, ProgramPaused, drawn, give_back, identity
 from twodof.gcs.setpoints import SetpointStream, setpoint
 from twodof.gcs.telemetry import Telemetry
 from twodof.link.connection import Connection

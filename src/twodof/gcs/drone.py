@@ -17,7 +17,7 @@ from weakref import WeakSet, finalize
 from twodof.errors import ParameterError, Rejected, TwodofError
 from twodof.gcs.async_drone import DEFAULT_URL, LEAVING_S, AsyncDrone
 from twodof.gcs.discovery import FoundDrone, discover
-from twodof.gcs.drone_view import DroneView
+from twodof.gcs.drone_state import DroneView
 from twodof.gcs.files import AsyncFiles, AsyncLogs
 from twodof.gcs.loop_thread import LoopThread
 from twodof.gcs.parameters import AsyncParameters

@@ -19,7 +19,8 @@ from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance, uncertain_unknowns
 from twodof.identify.disturbance.disturbance_model import Disturbance, DisturbanceModel, inputs_that_answer
-from twodof.identify.disturbance.innovation import (
+from twodof.identify.disturbance.noise_search import Disturbed, astray, check_disturbance, passes, search
+from twodof.identify.disturbance.walk import (
     can_predict,
     first_gains,
     gains_of,
@@ -27,7 +28,6 @@ from twodof.identify.disturbance.innovation import (
     with_measured,
     without_gains,
 )
-from twodof.identify.disturbance.noise_search import Disturbed, astray, check_disturbance, passes, search
 from twodof.identify.estimate import Estimate
 from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.polynomial_fit import fit_polynomial

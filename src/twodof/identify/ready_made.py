@@ -24,7 +24,7 @@ from twodof.identify.validate import deviations
 from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_on_cart, pitch_rate, rail, velocity
 from twodof.rig.parameters import NAMES, load_rig
-from twodof.rig.steady_state import cart_parameters, model_parameters, moment_gain, stiffness
+from twodof.rig.rig import cart_parameters, model_parameters, moment_gain, stiffness
 
 POLES_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.05, 0.05)})
 """Priors from the real drone's logs of the pendulum while the rotors run (docs/explanation/physics.md, section 9).

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
-from twodof.compile.machine import CompiledMachine
+from twodof.compile.machine import CompiledMachine, Rerun
 from twodof.compile.program.check import check
-from twodof.compile.stepper import Rerun
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
 from twodof.models.structure import Structure

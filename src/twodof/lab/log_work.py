@@ -18,8 +18,8 @@ from twodof.errors import LogError
 from twodof.flightlog.contents import log_summary
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog, decimate, log_of_rows
+from twodof.flightlog.mcap_file import recover
 from twodof.flightlog.provenance import versions
-from twodof.flightlog.recovery import recover
 from twodof.flightlog.ulog_file import write_ulg
 from twodof.report.plots.comparison_view import Align, common_steps, comparison_view, flight_names
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view, signal_names, signals_panel

@@ -15,7 +15,7 @@ from twodof.flightlog.log import FlightLog
 from twodof.flightlog.provenance import read_bytes
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab, load_rig
-from twodof.rig.steady_state import model_parameters, moment_gain, rail_force, trim_moment, velocity_gain
+from twodof.rig.rig import model_parameters, moment_gain, rail_force, trim_moment, velocity_gain
 from twodof.signals import GRAVITY, HOVER, PERIOD, Q_AGE
 from twodof.sim.closed_loop import FLIGHT, ClosedLoop, InitialState
 from twodof.sim.drone_estimator import HISTORY, settled
@@ -31,7 +31,7 @@ MAX_BYTES = 1 << 20
 def identified_rig(model: Mapping[str, float], base: str | Mapping[str, float] = "paper") -> dict[str, float]:
     """Return the parameters of a rig that behaves as `model` in hover, with everything else as in the rig `base`.
 
-    `rig.steady_state.model_parameters` of the result gives the model's values. Names other than `MODEL` and "lag" are
+    `rig.rig.model_parameters` of the result gives the model's values. Names other than `MODEL` and "lag" are
     ignored. Raises ParameterError for a model without any name of `MODEL`, and for a value that is not finite or not
     possible for a rig.
     """

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
-from twodof.compile.stepper import Stepper
+from twodof.compile.machine import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
 from twodof.fcu.assembly import Assembly
 from twodof.fcu.control.controllers import Controllers

@@ -11,7 +11,7 @@ import pytest
 from tests.compile import examples
 from twodof.compile import native as target
 from twodof.compile.builder import emit_program
-from twodof.compile.c import helpers
+from twodof.compile.c.operators import FREESTANDING_MEMORY
 from twodof.compile.target import layout_checks
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
@@ -19,7 +19,7 @@ from twodof.errors import CompileError
 
 @pytest.fixture(scope="module")
 def library() -> ctypes.CDLL:
-    source = f"#include <stddef.h>\n#include <stdint.h>\n{helpers.MEMORY}"
+    source = f"#include <stddef.h>\n#include <stdint.h>\n{FREESTANDING_MEMORY}"
     flags = ("-ffreestanding", "-Wl,-Bsymbolic")  # its own functions, not those of this process
     return target.load(source, compilers.find_compiler(), flags=flags)
 

@@ -12,7 +12,7 @@ from tests.compile import examples
 from tests.compile.differential import same
 from tests.toolchains import need
 from twodof.compile import build
-from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.cortex_m7.processor import CortexM7
 from twodof.flight.core import core
 from twodof.signals import PERIOD
 

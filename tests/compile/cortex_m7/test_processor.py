@@ -22,9 +22,8 @@ from tests.toolchains import need
 from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7 import processor as board
 from twodof.compile.cortex_m7.image import Image
-from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
+from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, CortexM7, Processor
 from twodof.compile.cortex_m7.report import ObjectFile
-from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.target import EmittedProgram
 from twodof.errors import CompileError, ControllerFault
 

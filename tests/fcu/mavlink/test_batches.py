@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World
-from twodof.fcu.mavlink.batches import BATCH, LATEST_TICKS, channel_readers, published
+from twodof.fcu.mavlink.streams import BATCH, LATEST_TICKS, channel_readers, published
 from twodof.flightlog.steps import is_published
 from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.messages import batch_rows, channel_bits, channel_mask

@@ -14,7 +14,7 @@ from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.steps import plain_step
 from tests.patience import patiently
 from twodof.fcu.command.command_lease import CommandResult, rejected
-from twodof.fcu.mavlink.log_download import A_TICK_ARMED, MOST_READERS, PART, LogDownload
+from twodof.fcu.mavlink.log_transfer import A_TICK_ARMED, MOST_READERS, PART, LogDownload
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.mavlink.messages import message
 

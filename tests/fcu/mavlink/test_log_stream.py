@@ -11,7 +11,7 @@ from tests.faults.virtual_time import on_virtual_time
 from tests.fcu.mavlink.test_log_download import US, settled
 from tests.fcu.mavlink.world import World
 from tests.fcu.steps import plain_step
-from twodof.fcu.mavlink.log_stream import LogStreamService
+from twodof.fcu.mavlink.log_transfer import LogStreamService
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog_file import scan_ulog
 from twodof.link.mavlink.messages import message

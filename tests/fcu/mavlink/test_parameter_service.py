@@ -23,7 +23,7 @@ from twodof.fcu.mavlink.parameter_service import (
     TYPE_UNSUPPORTED,
 )
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.parameters.user_parameters import user_parameters
+from twodof.fcu.parameters.table import user_parameters
 from twodof.link.mavlink.messages import float_of_int, message
 
 pytestmark = pytest.mark.slow

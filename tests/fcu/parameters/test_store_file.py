@@ -12,9 +12,8 @@ import pytest
 
 from tests.patience import PATIENCE_S, patiently
 from twodof.errors import ParameterError
-from twodof.fcu.parameters import store_file
-from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.parameters.store_file import RETRY_S, StoredParameters, text_of
+from twodof.fcu.parameters import parameter_store
+from twodof.fcu.parameters.parameter_store import RETRY_S, ParameterStore, StoredParameters, text_of
 
 VALUES = {"RATE_KP": 0.07, "SAFE_SP_T": 0.4, "COM_DL_LOSS_T": 20}
 
@@ -82,7 +81,7 @@ def test_values_that_are_wrong_by_now_are_left_out_one_by_one(tmp_path: Path) ->
 
 def test_many_changes_are_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writes: list[str] = []
-    atomic = store_file.atomic_write
+    atomic = parameter_store.atomic_write
 
     @contextmanager
     def counted(path: Path, mode: Any) -> Iterator[Any]:
@@ -90,8 +89,8 @@ def test_many_changes_are_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             yield file
         writes.append(path.read_text())
 
-    monkeypatch.setattr(store_file, "atomic_write", counted)
-    monkeypatch.setattr(store_file, "GATHER_S", 60.0)
+    monkeypatch.setattr(parameter_store, "atomic_write", counted)
+    monkeypatch.setattr(parameter_store, "GATHER_S", 60.0)
     with ParameterStore(tmp_path / "p.json") as store:
         for k in range(1, 101):
             store.update({"RATE_KP": k / 1000})
@@ -104,7 +103,7 @@ def test_what_changes_while_the_file_is_written_is_waited_for_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun, writes = threading.Event(), list[float]()
-    atomic = store_file.atomic_write
+    atomic = parameter_store.atomic_write
 
     @contextmanager
     def slow(path: Path, mode: Any) -> Iterator[Any]:
@@ -119,8 +118,8 @@ def test_what_changes_while_the_file_is_written_is_waited_for_too(
             yield file
         writes.append(json.loads(path.read_text())["parameters"]["RATE_KP"])
 
-    monkeypatch.setattr(store_file, "atomic_write", slow)
-    monkeypatch.setattr(store_file, "GATHER_S", 0.0)
+    monkeypatch.setattr(parameter_store, "atomic_write", slow)
+    monkeypatch.setattr(parameter_store, "GATHER_S", 0.0)
     store = ParameterStore(tmp_path / "p.json")
     store.update({"RATE_KP": 0.07})
     assert begun.wait(PATIENCE_S)

@@ -17,7 +17,7 @@ from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.control.sandbox import BUDGET_NS
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import MOST_TUNED, ParametersRelisted, ParameterStore
-from twodof.fcu.parameters.user_parameters import user_parameters
+from twodof.fcu.parameters.table import user_parameters
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
 from twodof.flightlog.ulog_file import scan_ulog

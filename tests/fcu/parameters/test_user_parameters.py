@@ -17,8 +17,7 @@ from twodof.compile.px4.parameters import MOST
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.mavlink.file_tree import metadata_files
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.parameters.table import wire_rows
-from twodof.fcu.parameters.user_parameters import user_parameters
+from twodof.fcu.parameters.table import user_parameters, wire_rows
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import ATTITUDE
 

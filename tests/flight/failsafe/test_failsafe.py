@@ -13,8 +13,7 @@ from tests.flight.failsafe.expr_arrays import tell
 from tests.toolchains import need
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
-from twodof.compile.instances import Instances
-from twodof.compile.machine import CompiledProgram
+from twodof.compile.machine import CompiledProgram, Instances
 from twodof.errors import DiagramError
 from twodof.flight.core import OUTPUTS, core
 from twodof.flight.declarations import FAILSAFE_INPUTS as SAFETY_INPUTS

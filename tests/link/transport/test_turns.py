@@ -18,8 +18,7 @@ from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps
 from twodof.link.transport import base as bounds
 from twodof.link.transport import open_transport, udp
-from twodof.link.transport.base import Inbox, Packet, TransportCounts
-from twodof.link.transport.memory import memory_pair
+from twodof.link.transport.base import Inbox, Packet, TransportCounts, memory_pair
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from twodof.design.promise import STEPS, Promise
 from twodof.design.specification import Specification, read_specification
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
-from twodof.rig.steady_state import model_parameters
+from twodof.rig.rig import model_parameters
 from twodof.sim.linear import cascade_margins
 from twodof.sim.promised.rail_promise import BEFORE, RailFamily, check_rail, fly_lanes, rail_promise
 

@@ -17,9 +17,8 @@ from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, dtype_of
 from twodof.compile.c.expressions import Renderer, Used
 from twodof.compile.c.functions import Function, Listing, Mark
 from twodof.compile.c.graph import ProgramGraph, in_doubles
-from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import Integration
-from twodof.compile.c.operators import C_TYPES
+from twodof.compile.c.operators import C_TYPES, HELPERS
 from twodof.compile.c.pieces import APART, in_pieces
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import Assign, Call, CNames, Statement, Text, every

@@ -4,11 +4,10 @@ from collections.abc import Container
 from functools import partial
 from typing import NamedTuple
 
-from twodof.compile.c.commit import changed, commit
 from twodof.compile.c.expressions import Renderer
 from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.operators import C_TYPES
-from twodof.compile.c.schedule import integrated_signals
+from twodof.compile.c.schedule import changed, commit, integrated_signals
 from twodof.compile.c.statements import (
     Assign,
     Call,

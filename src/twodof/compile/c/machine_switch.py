@@ -13,9 +13,9 @@ from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import ELAPSED, MODE, OUTER_ELAPSED, Leaf, Route, last, owner_clock
 from twodof.blocks.state_machine.state_machine import LONGEST
-from twodof.compile.c.commit import changed, commit
 from twodof.compile.c.expressions import Renderer
 from twodof.compile.c.graph import ProgramGraph
+from twodof.compile.c.schedule import changed, commit
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import (
     Call,

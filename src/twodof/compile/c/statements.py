@@ -13,8 +13,7 @@ import numpy as np
 
 from twodof.blocks.elementary.functions import ARGUMENTS
 from twodof.blocks.expressions.numbers import INTEGERS, Integer, dtype_of
-from twodof.compile.c.helpers import NAMES as HELPER_NAMES
-from twodof.compile.c.operators import ATOM, C_TYPES, SIGNED
+from twodof.compile.c.operators import ATOM, C_TYPES, HELPER_NAMES, SIGNED
 from twodof.compile.program.flat_program import Node
 
 Names = frozenset[str]

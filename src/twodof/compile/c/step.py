@@ -6,11 +6,10 @@ from functools import partial
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Rate
 from twodof.blocks.state_machine import StateMachine
-from twodof.compile.c.commit import StateChange, changed, commit
 from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.machine_switch import MachineSwitch
 from twodof.compile.c.operators import C_TYPES
-from twodof.compile.c.schedule import Schedule, Segment, switch_inputs
+from twodof.compile.c.schedule import Schedule, Segment, StateChange, changed, commit, switch_inputs
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import Assign, CNames, IfStatement, Statement, Text, stored
 from twodof.compile.program.flat_program import Action, FlatSignal, Guard, Node

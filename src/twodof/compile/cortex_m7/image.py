@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.compile.c import helpers
+from twodof.compile.c.operators import FREESTANDING_FILES, FREESTANDING_MEMORY
 from twodof.compile.toolchain import cache, compilers
 from twodof.compile.toolchain.compilers import Compiler
 from twodof.errors import CompileError
@@ -20,7 +20,7 @@ SCRIPT = "image.ld"
 CALLED = ("program", "aeabi", "memory")  # what a step may call
 MODULES = (*CALLED, "boot", "server", "dispatch")
 FIRMWARE_MODULES = ("aeabi", "memory", "boot", "server")  # the same in each image
-MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{helpers.MEMORY}"
+MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{FREESTANDING_MEMORY}"
 
 FLAGS = (*compilers.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
 # FPv5 with 16 double registers, the larger of the processor's two floating-point units; values in its registers.
@@ -92,7 +92,7 @@ def build_image(
         f"const uint32_t program_count = {len(names)};\n"
     )
     firmware = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
-    firmware |= {**helpers.FILES, "memory.c": MEMORY}
+    firmware |= {**FREESTANDING_FILES, "memory.c": MEMORY}
     files = {**firmware, "program.c": source, "dispatch.c": dispatch}
     options = (*FLAGS, *compiler.flags)
 

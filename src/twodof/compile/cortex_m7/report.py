@@ -13,8 +13,7 @@ from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
 
 from twodof.compile.cortex_m7.image import Image
-from twodof.compile.cortex_m7.processor import Processor
-from twodof.compile.cortex_m7.target import CortexM7Backend, CortexM7Instance
+from twodof.compile.cortex_m7.processor import CortexM7Backend, CortexM7Instance, Processor
 from twodof.compile.machine import CompiledProgram
 from twodof.errors import CompileError
 

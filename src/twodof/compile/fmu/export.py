@@ -15,8 +15,7 @@ from types import MappingProxyType
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile.builder import emit_program
-from twodof.compile.fmu.model_description import build_description, model_description
-from twodof.compile.fmu.variables import FmuVariable, fmu_variables
+from twodof.compile.fmu.variables import FmuVariable, build_description, fmu_variables, model_description
 from twodof.compile.target import EmittedProgram
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError, DiagramError

@@ -13,7 +13,7 @@ from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import CostMeter
 from twodof.blocks.expressions.numbers import dtype_of
-from twodof.compile.c import helpers
+from twodof.compile.c.operators import FREESTANDING_FILES, FREESTANDING_MEMORY
 from twodof.compile.program.flat_program import FlatProgram, Node
 from twodof.compile.program.layout import Member
 from twodof.compile.target import EmittedProgram, layout_checks
@@ -185,8 +185,8 @@ def compile_module(
         *(f"-Wl,--export={f}" for f in functions),
     )
     ticks = (_tick(p.name, places[p.name]) for p in programs)
-    source = "".join([programs[0].source, *ticks, helpers.MEMORY, layout_checks(programs)])
-    data = compilers.compiled(source, found, options, ".wasm", Path.read_bytes, files=helpers.FILES)
+    source = "".join([programs[0].source, *ticks, FREESTANDING_MEMORY, layout_checks(programs)])
+    data = compilers.compiled(source, found, options, ".wasm", Path.read_bytes, files=FREESTANDING_FILES)
     return WasmModule(data, pages, {p.name: p for p in programs}, places)
 
 

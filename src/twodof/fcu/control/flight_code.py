@@ -15,12 +15,11 @@ from twodof.blocks import Diagram
 from twodof.blocks.expressions.numbers import FLOATS
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile import CompiledProgram, build
-from twodof.compile.machine import CompiledMachine
-from twodof.compile.stepper import Stepper
+from twodof.compile.machine import CompiledMachine, Stepper
 from twodof.errors import CompileError, ParameterError
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.sandbox import Sandbox
-from twodof.fcu.parameters.user_parameters import UserParameters, user_parameters
+from twodof.fcu.parameters.table import UserParameters, user_parameters
 from twodof.flight.core import core
 from twodof.flight.declarations import FAILSAFE_INPUTS, OWN_INPUTS
 from twodof.flight.declarations import INPUTS as CORE_INPUTS

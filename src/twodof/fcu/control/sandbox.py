@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
-from twodof.compile.stepper import Stepper
+from twodof.compile.machine import Stepper
 from twodof.compile.wasm.target import INSTALL, Wasm
 from twodof.errors import CompileError, ControllerFault
 from twodof.fcu.control.hardware import ControlInput, SensorSample

@@ -2,7 +2,7 @@
 
 A path is looked up and never handed to the system, so that no path leads out of the tree. `/etc/extras` holds the
 descriptions and the diagrams that fly, `/controllers` the diagrams that clients have sent. All is bounded. Logs are
-fetched by LOG_REQUEST_LIST (log_download.py).
+fetched by LOG_REQUEST_LIST (log_transfer.py).
 
 COMPONENT_METADATA names component_general.json, which names parameters.json. Sources: MAVLink guide, "Component
 Metadata Protocol"; schemas general and parameter, version 1.

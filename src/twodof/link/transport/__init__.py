@@ -3,8 +3,7 @@
 import asyncio
 
 from twodof.errors import LinkError, LinkLost
-from twodof.link.transport.base import Transport
-from twodof.link.transport.memory import open_memory
+from twodof.link.transport.base import Transport, open_memory
 from twodof.link.transport.serial_port import open_serial
 from twodof.link.transport.tcp import open_tcp
 from twodof.link.transport.udp import open_udp

@@ -23,7 +23,7 @@ from twodof.report.characterisation.compose import CharacterisedMachine
 from twodof.report.content import ReportTable
 from twodof.report.wording import plain, power_of_ten, table
 from twodof.rig.parameters import lab, load_rig
-from twodof.rig.steady_state import model_parameters
+from twodof.rig.rig import model_parameters
 from twodof.sim.replay import replay
 from twodof.sim.resimulation import resimulate
 

@@ -20,8 +20,8 @@ from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError, IdentificationError, printable
 from twodof.identify.estimate import Estimate
 from twodof.identify.frequency_response import FrequencyResponse, frequency_response
-from twodof.identify.model_response import ModelResponse, model_response
 from twodof.identify.record import Record
+from twodof.identify.simulation import ModelResponse, model_response
 from twodof.identify.validate import Comparison, Correlation
 from twodof.models.polynomial import PolynomialModel
 from twodof.models.structure import Structure

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
 from twodof.compile.builder import build
-from twodof.compile.instances import Instances
-from twodof.compile.machine import CompiledProgram
+from twodof.compile.machine import CompiledProgram, Instances
 from twodof.design.pitch_family import PitchFamily, check_covariance, draw_within, sigma_in
 from twodof.design.promise import LEVEL, STEPS, Promise, check_numbers
 from twodof.design.specification import Requirement, Specification, requirements
