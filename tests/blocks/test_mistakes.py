@@ -54,8 +54,8 @@ RECORDED: dict[str, tuple[Written, str]] = {
     "divmod": (lambda self, u, x, p, t: divmod(2.0, u.u)[0], r"divmod\(\).*a // b"),
     "a format": (lambda self, u, x, p, t: f"{u.u:.3f}", "recorded values.*format string"),
     "a method of arrays": (lambda self, u, x, p, t: u.a.sum(), "recorded values.*'sum'"),
-    "no clock value": (lambda self, u, x, p, t: t.t, "no clock value 't'.*dt, base_dt, tick"),
-    "no input": (lambda self, u, x, p, t: u.nope.x, "no input 'nope'.*u, a, n"),
+    "no clock value": (lambda self, u, x, p, t: t.t, "no clock value named 't'.*dt, base_dt, tick"),
+    "no input": (lambda self, u, x, p, t: u.nope.x, "no input named 'nope'.*u, a, n"),
     "an element assigned": (lambda self, u, x, p, t: u.a.__setitem__(0, 1.0), r"assigned.*store\(a, i, value\)"),
     "an element deleted": (lambda self, u, x, p, t: u.a.__delitem__(0), "deleted.*fixed length"),
     "an index of text": (lambda self, u, x, p, t: u.a["x"], "indexed with str"),
@@ -120,7 +120,7 @@ METHODS: dict[str, tuple[Written, Written]] = {
 @pytest.mark.parametrize("method", METHODS)
 def test_mistakes_in_every_method_are_told(method: str) -> None:
     wrong, forgotten = METHODS[method]
-    words = "no clock value 'tick'" if method == "prepare" else "function of numpy"
+    words = "no clock value named 'tick'" if method == "prepare" else "function of numpy"
     for text in refused(mine(method, wrong)()):
         assert_told(text, "part.block, ", method, line_of(wrong), words)
     for text in refused(mine(method, forgotten)()):

@@ -39,7 +39,7 @@ _HOMES = {
     "files": ("convert", "read_log", "write_log"),
     "log": ("Channel", "FlightLog", "Gap"),
     "recorder": ("Recorder",),
-    "recovery": ("Recovered", "recover"),
+    "mcap_file": ("Recovered", "recover"),
     "ulog_writer": ("ULogWriter",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

@@ -98,7 +98,7 @@ class AsyncDrone(DroneView):
         """Find the drone at `url` and, with `take_lease`, take its lease.
 
         `system` and `component` are this client's MAVLink ids; two clients need different ones. `system` None draws one
-        (200 to 244, see gcs.identity). A program on board, which has another `component`, gets the drone's own system.
+        (200 to 244, see gcs.session). A program on board, which has another `component`, gets the drone's own system.
         `drone` is the system id to look for if several may be heard. `key` (or its file) signs every message; messages
         not signed with it are ignored. Raises LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected
         if another client has the lease.

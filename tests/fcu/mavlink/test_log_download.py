@@ -14,7 +14,7 @@ from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.steps import plain_step
 from tests.patience import patiently
 from twodof.fcu.command.command_lease import CommandResult, rejected
-from twodof.fcu.mavlink.log_transfer import A_TICK_ARMED, MOST_READERS, PART, LogDownload
+from twodof.fcu.mavlink.log_transfer import ENTRIES_A_TICK_ARMED, MOST_READERS, PART, LogDownload
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.mavlink.messages import message
 
@@ -189,7 +189,7 @@ def test_in_real_time_the_disk_is_read_by_another_thread_and_sent_bit_by_bit(tmp
         if len(got) >= entries[0].size:
             break
     assert got == log.logs()[0].path.read_bytes()
-    assert 0 < most <= A_TICK_ARMED
+    assert 0 < most <= ENTRIES_A_TICK_ARMED
     log.close()
 
 
@@ -224,7 +224,7 @@ def test_however_many_ask_a_control_period_has_a_bounded_share_and_everybody_a_t
         world.sent.clear()
         if counts.total() == 30 * MOST_READERS:
             break
-    assert 0 < sent <= A_TICK_ARMED
+    assert 0 < sent <= ENTRIES_A_TICK_ARMED
     assert set(counts.values()) == {30}
     assert len(counts) == MOST_READERS
     log.close()
