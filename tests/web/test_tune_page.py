@@ -134,6 +134,23 @@ def test_the_last_preview_is_shown_while_the_next_is_computed(lab: ServedLab, op
 
 
 @pytest.mark.long
+def test_a_prediction_is_named_by_its_gains(lab: ServedLab, open_page: OpenPage) -> None:
+    """Not by those that the slider has reached meanwhile, and an old verdict is said to be old."""
+    page = open_page(link(lab))
+    page.get_by_label("Model", exact=True).select_option("careful")
+    expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)
+    page.route("**/tuning/1/preview", lambda route: None)  # it is never answered
+    edit(page, "RATE_KP", "0.07")
+    curve = page.get_by_role("listitem").filter(has_text="predicted RATE_KP 0.07")
+    expect(curve).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text("below, the last ones")).to_be_visible()
+    page.route("**/tuning/1/step", lambda route: None)
+    edit(page, "RATE_KP", "0.06")
+    expect(page.get_by_label("Changes to send")).to_contain_text("0.0854 → 0.06")
+    expect(curve).to_be_visible()
+
+
+@pytest.mark.long
 def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab), expects=("409",))
     page.get_by_label("Model", exact=True).select_option("careful")

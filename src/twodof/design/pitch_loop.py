@@ -1,8 +1,9 @@
 """PitchLoop: many members of a family, each closed with one controller, as matrices side by side."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from twodof.signals import PERIOD, Q_AGE
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Chunk = tuple[Array, Array, Array]
 
 THETA, Q, ROTORS, GUST = range(4)
 NO_LAG = 1e-5
@@ -28,6 +30,8 @@ _LEAK = 1.0 - PERIOD / 2.0
 """Share of an error of theta that the estimator keeps from a sample to the next: it is corrected within 2 s."""
 _CHUNK = 256  # steps between two calls of `progress`
 _BLOCK = 16  # steps that are made one after the other, of all blocks of a chunk at once
+_MOST_KEPT = 200_000
+"""Most steps of all members together whose noise is kept for the next controller: 8 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,33 +188,18 @@ class PitchLoop:
         if goal.ndim != 1 or not goal.size or not np.isfinite(goal).all():
             what = f"a set-point of shape {goal.shape} is empty, not finite or of more than one dimension"
             raise ParameterError(what, "simulate", "give finite numbers of shape (steps,)")
-        from scipy.signal import lfilter  # imported late: most commands start without it
-
         a, b, c, d = self.matrices
         power = np.linalg.matrix_power(a, _BLOCK)
         n, steps = len(self.members), goal.size
-        rng = np.random.default_rng(seed)
+        noise = _kept_noise if n * steps <= _MOST_KEPT else _noise
+        first, chunks = noise(goal.tobytes(), n, seed, q_noise, q_band, tilt)
         x = np.zeros((n, a.shape[1], 1))
-        x[:, GUST, 0] = gust * rng.standard_normal(n)
+        x[:, GUST, 0] = gust * first
         fresh = gust * np.sqrt(1.0 - np.exp(-2.0 * PERIOD / self.gust_time))
         out = np.empty((steps, n, 3))
-        # The vibration is white noise through a band-pass (`rig.sensors`), of variance 1.
-        size, turn, radius = np.sqrt(0.5 * (1.0 - q_band[1])), np.cos(2.0 * np.pi * q_band[0] * PERIOD), q_band[1]
-        band = ([size, 0.0, -size], [1.0, -(1.0 + radius) * turn, radius]) if radius > 0.0 else ([1.0], [1.0])
-        kept, walked = np.zeros((len(band[0]) - 1, n)), np.zeros((1, n))
-        for start in range(0, steps, _CHUNK):
+        for start, (given, push, after) in zip(range(0, steps, _CHUNK), chunks, strict=True):
             progress(start / steps)
-            now = slice(start, min(start + _CHUNK, steps))
-            white, walk, push = rng.standard_normal((now.stop - start, 3, n)).swapaxes(0, 1)
-            noise, kept = lfilter(*band, white, axis=0, zi=kept)
-            given = np.empty((len(noise), n, 3))
-            given[:, :, 0], given[:, :, 2] = goal[now, None], q_noise * noise
-            moved = PERIOD * given[:, :, 2] + tilt * PERIOD**0.5 * walk
-            after, _ = lfilter([1.0], [1.0, -_LEAK], moved, axis=0, zi=_LEAK * walked)
-            given[:, :, 1] = np.concatenate([walked, after[:-1]])
-            walked = after[-1:]
-            # Blocks side by side, the last one filled up: a few large products, and not a small one for each step.
-            given, push = (_in_blocks(part) for part in (given, push[..., None]))
+            now = slice(start, start + len(after))
             drive = b @ given
             drive[:, :, GUST] += np.reshape(fresh, (-1, 1)) * push[:, :, 0]
             own = np.zeros_like(drive)
@@ -223,7 +212,7 @@ class PitchLoop:
             for part in own:
                 part += begins
                 begins = a @ begins
-            out[now] = (c @ own + d @ given).transpose(3, 0, 1, 2).reshape(-1, n, 3)[: len(noise)]
+            out[now] = (c @ own + d @ given).transpose(3, 0, 1, 2).reshape(-1, n, 3)[: len(after)]
             out[now, :, 0] += after
         return out[..., 0], out[..., 1], out[..., 2]
 
@@ -240,6 +229,46 @@ class PitchLoop:
             power = power @ power
         out = states[:steps, :-1] @ c.T + d[:, 0] * goal
         return np.asarray(out.T[..., None])
+
+
+def _noise(
+    goal: bytes, n: int, seed: int, q_noise: float, q_band: tuple[float, float], tilt: float
+) -> tuple[Array, Iterable[Chunk]]:
+    """Return the first gusts (n,), and for each chunk the inputs of the loop, the new gusts and the noise of theta.
+
+    Inputs and gusts are in blocks, the noise is (k, n); gusts have variance 1. `goal` has the bytes of the set-point.
+    """
+    from scipy.signal import lfilter  # imported late: most commands start without it
+
+    rng = np.random.default_rng(seed)
+    first = rng.standard_normal(n)
+    # The vibration is white noise through a band-pass (`rig.sensors`), of variance 1.
+    size, turn, radius = np.sqrt(0.5 * (1.0 - q_band[1])), np.cos(2.0 * np.pi * q_band[0] * PERIOD), q_band[1]
+    band = ([size, 0.0, -size], [1.0, -(1.0 + radius) * turn, radius])
+
+    def chunks() -> Iterator[Chunk]:
+        setpoint, kept, walked = np.frombuffer(goal), np.zeros((2, n)), np.zeros((1, n))
+        for start in range(0, len(setpoint), _CHUNK):
+            now = setpoint[start : start + _CHUNK]
+            white, walk, push = rng.standard_normal((len(now), 3, n)).swapaxes(0, 1)
+            noise, kept = lfilter(*band, white, axis=0, zi=kept) if radius > 0.0 else (white, kept)
+            given = np.empty((len(noise), n, 3))
+            given[:, :, 0], given[:, :, 2] = now[:, None], q_noise * noise
+            moved = PERIOD * given[:, :, 2] + tilt * PERIOD**0.5 * walk
+            after, _ = lfilter([1.0], [1.0, -_LEAK], moved, axis=0, zi=_LEAK * walked)
+            given[:, :, 1] = np.concatenate([walked, after[:-1]])
+            walked = after[-1:]
+            # Blocks side by side, the last one filled up: a few large products, and not a small one for each step.
+            yield _in_blocks(given), _in_blocks(push[..., None]), after
+
+    return first, chunks()
+
+
+@lru_cache(maxsize=2)
+def _kept_noise(*given: Any) -> tuple[Array, Iterable[Chunk]]:
+    """Return `_noise`, kept for the next controller: a slider asks for many, and half of their work would be noise."""
+    first, chunks = _noise(*given)
+    return first, [*chunks]
 
 
 def _in_blocks(rows: Array) -> Array:

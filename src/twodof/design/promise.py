@@ -463,9 +463,27 @@ def promise(
     responses spread there, times one factor for the whole time. Three of four members have made a step 2 s before.
     `progress` is called with the share done. Raise ParameterError for numbers out of range.
     """
+    check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
+    loop, flown = flown_steps(controller, family, goal, duration, members, seed, progress)
+    unstable = float(np.mean(loop.radii() >= 1.0))
+    return Promise.of_flights(name, family.to_json(), "attitude", goal, level, seed, unstable, flown)
+
+
+def flown_steps(
+    controller: SampledController,
+    family: PitchFamily,
+    goal: float = GOAL,
+    duration: float = DURATION,
+    members: int = MEMBERS,
+    seed: int = 1,
+    progress: Callable[[float], None] = lambda share: None,
+) -> tuple[PitchLoop, dict[str, Array]]:
+    """Return the loop of the members that a promise flies, and their steps: theta, q and M, each (steps, members).
+
+    Raise ParameterError for a goal out of range.
+    """
     if not is_number(goal, 1e-3, 0.8):
         raise _error(f"a step of {shown(goal)} rad is out of range", "give 0.001 to 0.8 rad")
-    check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
     loop, nominal = (one.under(controller) for one in _plants(family, members, seed))
     steps = round(duration / PERIOD) + 1
     setpoint = np.concatenate([np.zeros(_LEAD), np.full(steps, goal)])
@@ -479,8 +497,7 @@ def promise(
         left = np.resize(_EARLIER, members)
         theta, q, moment = theta + left * (before[0] - goal), q + left * before[1], moment + left * earlier
     flown = {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}
-    unstable = float(np.mean(loop.radii() >= 1.0))
-    return Promise.of_flights(name, family.to_json(), "attitude", goal, level, seed, unstable, flown)
+    return loop, {name: np.clip(np.nan_to_num(one, nan=1e6), -1e6, 1e6) for name, one in flown.items()}
 
 
 def check_numbers(duration: float, level: float, members: int, among: tuple[int, int]) -> None:

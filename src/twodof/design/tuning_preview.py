@@ -13,7 +13,7 @@ from twodof.blocks.schema.json_form import from_json
 from twodof.design.margins import LoopMargins, margins
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PITCH_LOOPS, PitchLoop, pitch_loops
-from twodof.design.promise import CHANNELS, GOAL, LEVEL, Promise, interval, promise
+from twodof.design.promise import CHANNELS, GOAL, LEVEL, Promise, flown_steps, interval, promise, step_bands
 from twodof.design.robustness import Robustness, robustness
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
@@ -115,7 +115,7 @@ def tuning_preview(
 
 
 def _cut(side: Mapping[str, Array]) -> dict[str, Array]:
-    return {name: np.clip(side[name], -SHOWN[name], SHOWN[name]) for name in CHANNELS}
+    return {name: np.clip(rows, -SHOWN[name], SHOWN[name]) for name, rows in side.items()}
 
 
 def _settling(
@@ -202,9 +202,11 @@ class PitchLaw:
 
     def step(self, family: PitchFamily, goal: float) -> dict[str, Any]:
         """Return the band of a step of theta by `goal` [rad] alone, of fewer members, without margins and verdict."""
-        made = promise(self.controller, family, goal=goal, members=QUICK, name="step")
-        band = {side: _rounded(_cut(getattr(made, side))["theta"]) for side in ("low", "middle", "high")}
-        return {"goal": goal, "level": LEVEL, "time": _rounded(made.time), "bands": {"theta": band}}
+        _, flown = flown_steps(self.controller, family, goal, members=QUICK)
+        sides = zip(("low", "middle", "high"), step_bands({"theta": flown["theta"]}, LEVEL), strict=True)
+        band = {side: _rounded(_cut(rows)["theta"]) for side, rows in sides}
+        time = np.arange(len(flown["theta"]), dtype=np.float64) * PERIOD
+        return {"goal": goal, "level": LEVEL, "time": _rounded(time), "bands": {"theta": band}}
 
     def verdict(self, family: PitchFamily) -> Robustness:
         """Return the verdict on the stability of the family under the law, as in the preview."""

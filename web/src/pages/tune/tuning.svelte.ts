@@ -10,8 +10,10 @@ import { asRecord, differences, withChanges, type Edits } from "./draft";
 const WAIT_MS = 200;
 const AGAIN_MS = 2000;
 const TOO_SLOW = 504;
+/** What was predicted, and for which changes. */
+type For<Found> = Found & { changes: readonly Change[] };
 /** Latest preview of each drone and model, shown where the page is opened again, until the next is there. */
-const LAST = new Map<string, Preview>();
+const LAST = new Map<string, For<Preview>>();
 
 /** Parameters of one drone: edits, preview and sent changes. */
 export class Tuning {
@@ -24,9 +26,9 @@ export class Tuning {
   model = $state<string | null>(null);
   /** Size of the predicted step [rad]. */
   goal = $state((10 * Math.PI) / 180);
-  preview = $state.raw<Preview | undefined>(undefined);
+  preview = $state.raw<For<Preview> | undefined>(undefined);
   /** Step that the slider has reached; undefined once the preview is there. */
-  step = $state.raw<PredictedStep | undefined>(undefined);
+  step = $state.raw<For<PredictedStep> | undefined>(undefined);
   /** Send when a slider is let go. */
   atRelease = $state(false);
   refused = $state("");
@@ -38,22 +40,21 @@ export class Tuning {
   last = $state.raw<readonly Change[]>([]);
   readonly byName: ReadonlyMap<string, ParameterRow> = $derived(new Map(this.rows.map((row) => [row.name, row])));
   readonly changes = $derived(differences(this.rows, this.edits));
-  private previewed = $state("");
   /** Preview of the present edits; undefined while it is outdated. */
   readonly judged = $derived(
-    this.preview !== undefined && this.previewed === JSON.stringify(asRecord(this.changes)) ? this.preview : undefined,
+    JSON.stringify(this.preview?.changes) === JSON.stringify(this.changes) ? this.preview : undefined,
   );
 
   private asked = "";
   private waiting: ReturnType<typeof setTimeout> | undefined;
-  private readonly previews = new LatestOnly<Record<string, number>>(
+  private readonly previews = new LatestOnly<readonly Change[]>(
     (changes) => this.ask(changes),
     () => {},
   );
-  private readonly steps = new LatestOnly<Record<string, number>>(
+  private readonly steps = new LatestOnly<readonly Change[]>(
     async (changes) => {
-      const found = await api.predictStep(this.drone, changes, this.goal);
-      if ("bands" in found && !this.judged) this.step = found;
+      const found = await api.predictStep(this.drone, asRecord(changes), this.goal);
+      if ("bands" in found && !this.judged) this.step = { ...found, changes };
     },
     () => {}, // the preview says what is wrong
   );
@@ -114,7 +115,7 @@ export class Tuning {
   /** Return whether the model finds drones that the present edits make unstable; asks if the preview is outdated. */
   async unstable(): Promise<boolean> {
     clearTimeout(this.waiting);
-    if (this.model !== null && !this.judged) await this.ask(asRecord(this.changes));
+    if (this.model !== null && !this.judged) await this.ask(this.changes);
     return this.judged !== undefined && this.judged.unstable && this.judged.touches;
   }
 
@@ -174,9 +175,9 @@ export class Tuning {
 
   askSoon(): void {
     clearTimeout(this.waiting);
-    if (this.model !== null && this.changes.length > 0) this.steps.give(asRecord(this.changes));
+    if (this.model !== null && this.changes.length > 0) this.steps.give(this.changes);
     this.waiting = setTimeout(() => {
-      if (this.model !== null) this.previews.give(asRecord(this.changes));
+      if (this.model !== null) this.previews.give(this.changes);
       else this.preview = undefined;
     }, WAIT_MS);
   }
@@ -192,17 +193,16 @@ export class Tuning {
     }
   }
 
-  private async ask(changes: Record<string, number>): Promise<void> {
+  private async ask(changes: readonly Change[]): Promise<void> {
     const question = JSON.stringify([changes, this.goal, this.model, this.rows.map((row) => row.value)]);
     if (question === this.asked) return;
     this.previewing = true;
     try {
-      const found = await api.previewTuning(this.drone, changes, this.goal);
-      this.preview = "bands" in found ? found : undefined;
+      const found = await api.previewTuning(this.drone, asRecord(changes), this.goal);
+      this.preview = "bands" in found ? { ...found, changes } : undefined;
       if (this.preview) LAST.set(`${this.drone} ${this.model}`, this.preview);
       this.step = undefined;
       this.asked = question;
-      this.previewed = JSON.stringify(changes);
       this.refused = found.why;
     } catch (failure) {
       this.preview = undefined;
