@@ -10,7 +10,6 @@ import { asRecord, differences, withChanges, type Edits } from "./draft";
 const WAIT_MS = 200;
 const AGAIN_MS = 2000;
 const TOO_SLOW = 504;
-/** What was predicted, and for which changes. */
 type For<Found> = Found & { changes: readonly Change[] };
 /** Latest preview of each drone and model, shown where the page is opened again, until the next is there. */
 const LAST = new Map<string, For<Preview>>();
@@ -44,6 +43,7 @@ export class Tuning {
   readonly judged = $derived(
     JSON.stringify(this.preview?.changes) === JSON.stringify(this.changes) ? this.preview : undefined,
   );
+  readonly outdated = $derived(this.previewing || (this.preview !== undefined && !this.judged));
 
   private asked = "";
   private waiting: ReturnType<typeof setTimeout> | undefined;
