@@ -3,8 +3,9 @@
 `python -m tools.import_rate REPOSITORY...` takes folders with models, one a repository, and looks for libraries in all
 folders of the repository. Names that no callback of a model gives are looked for in the repository's scripts, those of
 the model's folder first; what none gives is 1, and is counted. A model with the same bytes counts once, a library not
-at all. A part is missing where a library, a model or a block of another vendor is not in the repository: the rate
-without such models is shown apart. `--why` counts the reasons of refusals, in models without missing parts, and how
+at all. A part is missing where a library, a model or a block of another vendor is not in the repository; data are
+missing where no script, .mat file or dictionary of the repository assigns a name that the model takes. The rates
+without such models are shown apart; a name that a script assigns, and that we do not compute, is not missing. `--why` counts the reasons of refusals, in models without missing parts, and how
 often one is a model's only one.
 """
 
@@ -17,6 +18,7 @@ import sys
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +46,9 @@ class Tried:
     chart: bool = False
     blocks: int = 0
     invented: int = 0
-    """How many names have no value in the repository."""
+    """How many names got no value from the repository."""
+    absent: int = 0
+    """How many of these nothing in the repository assigns."""
     reasons: dict[str, str] = field(default_factory=dict)
     """The first block of each reason."""
 
@@ -68,6 +72,7 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     names = _workspace(wanted, folders)
     missing = wanted - names.keys()
     found.invented = len(missing)
+    found.absent = len(missing.difference(*map(_given, _files(tuple(folders), "m"))))
     names |= {name: np.array([[1.0]]) for name in missing}
     try:
         imported = import_system(model, "", names, folders, otherwise=PERIOD)
@@ -85,19 +90,60 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     return found
 
 
+MOST_TURNS = 2
+"""How often the scripts run that give what others need."""
+_GIVES = re.compile(r"assignin|cellToObject")
+"""Functions by which a function's file gives names to the base workspace."""
+
+
 def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
-    """Return what the scripts of these folders give the names `wanted`; a name keeps its first value."""
+    """Return what the scripts and .mat files of these folders give the names `wanted`; a name keeps its first value.
+
+    Scripts that need a name of other scripts run again when those gave it, as in a session of MATLAB's.
+    """
     values: dict[str, Value] = {}
-    for folder in dict.fromkeys(folders):
-        for file in sorted(folder.glob("*.m")):
-            text = file.read_text(errors="replace")
-            if text.lstrip().startswith(("function", "classdef")) or not assigned_names(text) & wanted - values.keys():
+    asked = set(wanted)
+    for _ in range(MOST_TURNS):
+        before, needed = len(values), set[str]()
+        for file in _files(tuple(folders), "m"):
+            if not _given(file) & asked - values.keys():
                 continue
-            found: dict[str, Value] = {}
+            found = dict(values)
             with suppress(TwodofError):
-                read_workspace(file, found, [file.parent, *folders])
-            values = {name: value for name, value in found.items() if name in wanted} | values
-    return values
+                why = " ".join(one.why for one in read_workspace(file, found, [file.parent, *folders]))
+                needed.update(re.findall(r"(\w+) has no value", why))
+            values = found | values
+        asked |= needed
+        if len(values) == before or not asked - values.keys():
+            break
+    for file in _files(tuple(folders), "mat"):
+        if wanted <= values.keys():
+            break
+        values = _recorded(file) | values
+    return {name: value for name, value in values.items() if name in wanted}
+
+
+@cache
+def _files(folders: tuple[Path, ...], end: str) -> list[Path]:
+    return [file for folder in dict.fromkeys(folders) for file in sorted(folder.glob(f"*.{end}"))]
+
+
+@cache
+def _recorded(file: Path) -> dict[str, Value]:
+    """Return the values of a .mat file."""
+    found: dict[str, Value] = {}
+    with suppress(TwodofError):
+        read_workspace(file, found)
+    return found
+
+
+@cache
+def _given(file: Path) -> frozenset[str]:
+    """Return the names that a script, or a function which gives names to the base workspace, may assign."""
+    text = file.read_text(errors="replace")
+    if text.lstrip().startswith(("function", "classdef")):
+        return frozenset(re.findall(r"\w+", text) if _GIVES.search(text) else ())
+    return frozenset(assigned_names(text))
 
 
 def models(repository: Path) -> list[tuple[Path, list[Path]]]:
@@ -132,7 +178,10 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     asked = parser.parse_args()
     total: list[Tried] = []
-    say("repository, commit: models, imported; of those without missing parts: plain, with a chart part")
+    say(
+        "repository, commit: models, imported; of those without missing parts: plain, with a chart part; "
+        "of those without missing parts and data: plain, with a chart part"
+    )
     with multiprocessing.Pool(asked.processes) as pool:
         for repository in asked.repository:
             found = [one for one in pool.starmap(tried, models(repository), chunksize=1) if one is not None]
@@ -146,7 +195,7 @@ def main() -> None:
             say(f"{repository.name}, {commit or '-'}: {_rates(found)}")
             for one in found if asked.list else ():
                 reasons = "; ".join(f"{why[:90]} ({at})" for why, at in list(one.reasons.items())[:8])
-                invented = f" ({one.invented} names invented)" if one.invented else ""
+                invented = f" ({one.invented} names invented, {one.absent} absent)" if one.invented else ""
                 say(f"  {one.path.relative_to(repository)}{invented}: {reasons or 'runs'}")
     say(f"all: {_rates(total)}")
     if asked.why:
@@ -162,8 +211,11 @@ def _rates(found: list[Tried]) -> str:
         return f"{sum(not one.reasons for one in among)} of {len(among)}"
 
     whole = [one for one in found if not one.missing]
-    plain, chart = [one for one in whole if not one.chart], [one for one in whole if one.chart]
-    return f"{rate(found)}; {rate(plain)}, {rate(chart)}"
+    parts = [
+        f"{rate([one for one in some if not one.chart])}, {rate([one for one in some if one.chart])}"
+        for some in (whole, [one for one in whole if not one.absent])
+    ]
+    return "; ".join((rate(found), *parts))
 
 
 if __name__ == "__main__":

@@ -130,13 +130,13 @@ def test_a_script_has_octaves_values(tmp_path: Path) -> None:
 def test_what_is_not_computed_is_said_by_line_and_leaves_no_old_value() -> None:
     workspace: dict[str, object] = {"h": np.ones((1, 1))}
     skipped = run(
-        "a = 1;\nsystem('rm -rf /');\nh = load('x.mat');\nfor k = 1:3\n  a = rand(k);\nend\nclear all\nb = a + 1;",
+        "a = 1;\nsystem('rm -rf /');\nh = load('x.mat');\nfor k = 1:3\n  a = fopen(k);\nend\nclear all\nb = a + 1;",
         workspace,
     )
     assert [(one.line, one.why) for one in skipped] == [
         (2, "system is not computed"),
-        (3, "load is not computed"),
-        (5, "rand is not computed"),
+        (3, "x.mat is not found"),
+        (5, "fopen is not computed"),
         (8, "a has no value"),  # the loop may have changed it
     ]
     assert set(workspace) == set()
@@ -150,6 +150,8 @@ def test_a_script_runs_files_of_its_folders_alone(tmp_path: Path) -> None:
     savemat(tmp_path / "limits.mat", {"count": 8.0})
     (tmp_path.parent / "outside.m").write_text("secret = 1;", encoding="utf-8")
     code = """start
+same = load('limits.mat'); count = same.count;
+draw = rand(3, 1); draw = all(draw > 0 & draw < 1) + (draw(1) ~= draw(2));
 for k = 1:count
   [a, b] = next(a, b);
   if b > 20, break, end
@@ -164,12 +166,13 @@ return
 a = 0;"""
     workspace: dict[str, object] = {}
     skipped = run(code, workspace, [tmp_path])
-    assert [one.line for one in skipped] == [6, 7]
-    assert "again.m, line 1: " in skipped[0].why
-    assert "scripts run each other too deep" in skipped[0].why
-    assert skipped[1].why == "../outside.m is not found"
+    assert [one.line for one in skipped] == [3, 8, 9]
+    assert skipped[0].why == "rand gives a fixed draw"
+    assert "again.m, line 1: " in skipped[1].why
+    assert "scripts run each other too deep" in skipped[1].why
+    assert skipped[2].why == "../outside.m is not found"
     values = {name: value.item() for name, value in workspace.items() if isinstance(value, np.ndarray)}
-    assert values == {"a": 13.0, "b": 21.0, "k": 6.0, "count": 8.0}
+    assert values == {"a": 13.0, "b": 21.0, "k": 6.0, "count": 8.0, "draw": 2.0}
     assert workspace["text"] == "six"
 
 

@@ -207,6 +207,20 @@ y = x + last(1);
 end
 """
 
+BITS = """function [a, b, c, d, e, y] = f(u, v, w, s)
+a = typecast([u; v], 'int16');
+b = bitset(w, 3) - bitset(w, 5, 0);
+c = uint16(bitget(w, 4)) + uint16(bitget(w, 16));
+d = bitshift(w, mod(double(v), 40) - 20);
+e = bitshift(s, -mod(double(v), 7));
+y = 0; k = 0;
+while k < 6 && y < double(u) / 16
+  y = y + 2; k = k + 1;
+  if k > double(v) / 30, break, end
+end
+end
+"""
+
 
 @pytest.mark.parametrize(
     ("code", "signals"),
@@ -218,8 +232,9 @@ end
         (INDICES, [REAL, VECTOR, MATRIX]),
         (FUNCTIONS, [REAL, VECTOR]),
         (EARLY, [REAL]),
+        (BITS, [Signal("uint8"), Signal("uint8"), Signal("uint16"), Signal("int32")]),
     ],
-    ids=["branches", "switch", "integers", "matrices", "indices", "functions", "early"],
+    ids=["branches", "switch", "integers", "matrices", "indices", "functions", "early", "bits"],
 )
 def test_a_function_has_octaves_values_at_each_step(code: str, signals: list[Signal], tmp_path: Path) -> None:
     assert_octaves(code, signals, tmp_path)

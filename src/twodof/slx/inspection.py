@@ -213,6 +213,9 @@ class _Names:
             given = {**block.values, **block.instance}  # a link's values stand beside its own in older files
             values = [given.get(key, "") for key in (*VALUES.get(block.kind, ()), "SampleTime")]
             values.append(given.get("OutDataTypeStr", "").partition("Bus:")[2])
+            if inner is not None and given.get("Variant", "off") == "on" and not given.get("LabelModeActiveChoice"):
+                conditions = (one.values.get("VariantControl", "") for one in inner.blocks.values())
+                values += [text for text in conditions if text != "(default)"]
             if mask is not None:
                 values += [given.get(key, text) for key, text in mask.computed.items()]
             taken = {name for value in values for name in names_in(value)} - known

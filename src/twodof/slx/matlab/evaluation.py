@@ -31,6 +31,7 @@ from twodof.slx.matlab.values import (
     indexed,
     is_signal,
     joined,
+    lowered,
     number,
     numeric,
     scalar,
@@ -516,14 +517,14 @@ class EvaluatingParser:
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Return what a function gives: for a `count` above 1 a list."""
-        signals = count > 1 or any(map(is_signal, arguments))
+        signals = count > 1 or any(map(is_signal, arguments)) or name not in FUNCTIONS
         if signals:
             self.evaluation.count_signals(_operations("*" if name == "mtimes" else name, arguments))
-        if name not in (*FUNCTIONS, *(SIGNAL_FUNCTIONS if signals else ())):
+        if name not in (*FUNCTIONS, *SIGNAL_FUNCTIONS):
             raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
         try:
             with np.errstate(all="ignore"):
-                value = of_signals(name, arguments, count) if signals else FUNCTIONS[name](*arguments)
+                value = lowered(of_signals(name, arguments, count)) if signals else FUNCTIONS[name](*arguments)
         except (TypeError, ValueError, IndexError, np.linalg.LinAlgError, OverflowError, MemoryError) as reason:
             raise NotComputed(f"{name}: {reason}") from None
         return bounded(value)

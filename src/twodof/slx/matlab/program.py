@@ -39,14 +39,14 @@ from twodof.slx.matlab.values import (
     stored,
 )
 
-DEEPEST_CALLS, DEEPEST_BLOCKS = 20, 50
+DEEPEST_CALLS, DEEPEST_BLOCKS, MOST_TURNS = 20, 50, 40
 EMPTY = np.zeros((0, 0))
 _OPENING = {"if", "for", "parfor", "while", "switch", "try", "function"}
 _CLAUSES = {"elseif", "else", "case", "otherwise", "catch"}
 _WORDS = _OPENING | _CLAUSES | {"end"}
 _LEAVING = {"return": "#return", "break": "#break", "continue": "#continue"}
 """The names that say under which condition the statements after one of these are left out."""
-_SILENT = {"assert", "error", "coder.inline", "coder.extrinsic", "coder.allowpcode"}
+_SILENT = {"assert", "error", "coder.inline", "coder.extrinsic", "coder.allowpcode", "coder.varsize", "coder.unroll"}
 
 
 class NotTranslatedLine(NotComputed):
@@ -346,7 +346,7 @@ class Program(EvaluatingParser):
         word = self.here.text
         self.at += 1
         if word == "while":
-            self._while(self.at, end, 0)
+            self._while(self.at, end)
         else:
             bracket, name = self.skip("("), self.here.text
             self.at += 1
@@ -362,29 +362,38 @@ class Program(EvaluatingParser):
                     break
         self.evaluation.names.pop("#break", None)
 
-    def _while(self, start: int, end: int, nested: int) -> None:
-        """Carry out the turns of a `while`; those after one that may leave it only where it does not."""
-        if nested > DEEPEST_CALLS:
-            raise NotComputed(f"a loop may be left in more than {DEEPEST_CALLS} turns")
+    def _while(self, start: int, end: int, turns: int = 0) -> None:
+        """Carry out the turns of a `while`; those after one that may be the last only where it is not."""
+        for name in _LEAVING.values():
+            self.evaluation.names.pop(name, None)
         left: Any = False
         while left is False:
             self.at = start
             held = truth(self.expression())
-            if not isinstance(held, bool):
-                raise NotComputed("how often the loop turns depends on signals")
-            if not held:
+            if held is False:
+                return
+            if turns > MOST_TURNS:
+                raise NotComputed(f"how often the loop turns depends on signals: more than {MOST_TURNS} times")
+            turns += held is not True
+            if held is not True:
+                self.either(held, partial(self._turn_of_while, self.at, start, end, turns), lambda: None)
                 return
             self.block(end)
             self.evaluation.names.pop("#continue", None)
             left = self._left()
-
-        def go_on() -> None:
-            for name in _LEAVING.values():
-                self.evaluation.names.pop(name, None)
-            self._while(start, end, nested + 1)
-
         if left is not True:
-            self.either(left, lambda: None, go_on)
+            self.either(left, lambda: None, partial(self._while, start, end, turns + 1))
+
+    def _turn_of_while(self, body: int, start: int, end: int, turns: int) -> None:
+        """Carry out a turn whose condition is a signal, and those that follow it."""
+        self.at = body
+        self.block(end)
+        self.evaluation.names.pop("#continue", None)
+        left = self._left()
+        if left is False:
+            self._while(start, end, turns)
+        elif left is not True:
+            self.either(left, lambda: None, partial(self._while, start, end, turns))
 
     def _turn(self, name: str, value: Array, start: int, end: int) -> None:
         """Carry out one turn of a `for`, where it was not left before."""

@@ -19,7 +19,7 @@ from twodof.flightlog import fence
 from twodof.flightlog.fence import Answer
 from twodof.slx.matlab.evaluation import SILENT, Evaluation, assigned_by, next_statement, script_text
 from twodof.slx.matlab.program import EMPTY, Code, NotTranslatedLine, Program
-from twodof.slx.matlab.values import Array, NotComputed, Value
+from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value
 
 DEEPEST_SCRIPTS = 5
 _HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
@@ -42,6 +42,7 @@ class RunningScript(Program):
         super().__init__(code, code.main, evaluation)
         self.base, self.depth_of_scripts = base, depth
         self.skipped: list[Skipped] = []
+        self.random = np.random.default_rng(0)
 
     def statement(self) -> None:
         """Carry out a statement: `name`, `run name` and `load name` are those of a file."""
@@ -50,9 +51,9 @@ class RunningScript(Program):
         plain = {one.text for one in self.tokens[start:end] if one.kind in ("operator", "line")} <= {*"().;,\n\r\n", ""}
         command = words[0] if words else ""
         if plain and command in ("run", "load") and len(words) > 1:
-            self._file(words[1], ".mat" if command == "load" else ".m")
+            self._file(words[1], ".mat" if command == "load" else ".m", self.evaluation.names)
         elif plain and words == [command] and command not in self.evaluation.names and self._found(f"{command}.m"):
-            self._file(command, ".m")
+            self._file(command, ".m", self.evaluation.names)
         else:
             super().statement()
             return
@@ -62,20 +63,29 @@ class RunningScript(Program):
         candidates = (one / name for one in self.code.folders) if _FILE.fullmatch(name) else ()
         return next((one for one in candidates if one.is_file()), None)
 
-    def _file(self, name: str, suffix: str) -> None:
+    def _file(self, name: str, suffix: str, names: MutableMapping[str, Value]) -> None:
         name = f"{name.removesuffix(suffix)}{suffix}"
         file = self._found(name)
         if file is None or self.depth_of_scripts >= DEEPEST_SCRIPTS:
             raise NotComputed(f"{name} is not found" if file is None else "scripts run each other too deep")
         line = self.here.line
         try:
-            found = read_workspace(file, self.evaluation.names, self.code.folders, self.depth_of_scripts + 1)
+            found = read_workspace(file, names, self.code.folders, self.depth_of_scripts + 1)
             self.skipped += [Skipped(line, f"{file.name}, line {one.line}: {one.why}") for one in found]
         except DiagramError as reason:
             raise NotComputed(reason.what) from None
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
-        """Call a function; two of them give the base workspace its names."""
+        """Call a function; two of them give the base workspace its names, and `load` returns those of a file."""
+        if name == "load" and len(arguments) == 1 and isinstance(arguments[0], str):
+            loaded: dict[str, Value] = {}
+            self._file(arguments[0], ".mat", loaded)
+            return loaded
+        if name in ("rand", "randn"):
+            if not any(one.why.endswith("a fixed draw") for one in self.skipped):
+                self.skipped.append(Skipped(self.here.line, f"{name} gives a fixed draw"))
+            shape = FUNCTIONS["zeros"](*arguments).shape
+            return self.random.random(shape) if name == "rand" else self.random.standard_normal(shape)
         if name == "assignin" and len(arguments) == 3 and arguments[0] == "base":
             self.base[arguments[1]] = arguments[2]
         elif name == "Simulink.Bus.cellToObject" and arguments:

@@ -15,8 +15,8 @@ import numpy as np
 
 from twodof.blocks.elementary import functions
 from twodof.blocks.expressions.conversions import to_float64, to_stored
-from twodof.blocks.expressions.expr import Expr, convert, sqrt, where
-from twodof.blocks.expressions.numbers import INTEGER_TYPES, STORED
+from twodof.blocks.expressions.expr import Expr, convert, minimum, sqrt, where
+from twodof.blocks.expressions.numbers import INTEGER_TYPES, STORED, UInt32
 from twodof.slx.matlab.values import (
     FUNCTIONS,
     KINDS,
@@ -394,19 +394,60 @@ def _bits(compute: Elementwise) -> Elementwise:
     return operate
 
 
-def _shifted(value: Value, by: Value) -> Array:
-    count = int(scalar(by))
-    array = lifted(as_array(value))
-    kind = class_of(array)
-    if not kind.startswith("uint") or abs(count) > 31:
+_BYTES = {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4}
+
+
+def _shift(element: Any, by: Any) -> Any:
+    """Return bits shifted to the left, or for a negative `by` to the right, where a signed number keeps its sign."""
+    kind = kind_of(element)
+    if kind not in _BYTES:
         raise NotComputed(f"a shift of {kind} is not translated")
+    wide = convert(element, "uint32" if kind.startswith("u") else "int32")
+    zero = INTEGER_TYPES[kind_of(wide)](0)
+    if is_literal(by):
+        size = min(abs(int(by)), 31)
+        up, down, inside, right = wide << size, wide >> size, abs(by) < 32, by < 0
+        return convert(down if right and (inside or kind[0] == "i") else up if inside and not right else zero, kind)
+    count = convert(by, "int32")
+    size = abs(count)
+    inside, size = size < 32, convert(minimum(size, 31), kind_of(wide))
+    down = wide >> size
+    kept = down if kind.startswith("i") else where(inside, down, zero)
+    return convert(where(count < 0, kept, where(inside, wide << size, zero)), kind)
 
-    def shift(element: Any) -> Any:
-        wide = convert(element, "uint32")
-        found = wide << count if count > 0 else wide >> -count
-        return to_stored(found, kind, "wrap") if kind in STORED else found
 
-    return _each(shift)(array)
+def _with_bit(value: Value, place: Value, bit: Value = None) -> Array:
+    """Return integers with the bit of this number, from 1, set or cleared."""
+
+    def one(element: Any, on: Any) -> Any:
+        kind, word = kind_of(element), convert(element, "uint32")
+        mask = UInt32(1 << int(scalar(place)) - 1)
+        return convert(where(cast(on, "bool"), word | mask, word & ~mask), kind)
+
+    return _each(one)(_whole(value), np.ones((1, 1)) if bit is None else bit)
+
+
+def _whole(value: Value) -> Array:
+    """Return an array of integers. Raises NotComputed for another class."""
+    if class_of(as_array(value)) not in _BYTES:
+        raise NotComputed("bits of a double are not translated: convert it to an integer")
+    return as_array(value)
+
+
+def _typecast(value: Value, kind: Value) -> Array:
+    """Return the bytes of integers, the lowest first, as integers of another class."""
+    array = lifted(_whole(value))
+    if kind not in _BYTES:
+        raise NotComputed(f"typecast to {kind} is not translated")
+    old, new = _BYTES[class_of(array)], _BYTES[kind]
+    words = [convert(one, "uint32") for one in array.flatten(order="F")]
+    parts = [word >> 8 * k & 255 for word in words for k in range(old)]
+    if len(parts) % new:
+        raise NotComputed(f"typecast of {len(parts)} bytes to {kind}")
+    made = [
+        convert(reduce(or_, (parts[at + k] << 8 * k for k in range(new))), kind) for at in range(0, len(parts), new)
+    ]
+    return filled((1, len(made)) if array.shape[0] == 1 else (len(made), 1), made)
 
 
 def _interpolated(places: Value, values: Value, at: Value) -> Array:
@@ -444,10 +485,14 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "any": _reduced(or_, lambda one: cast(one, "bool")), "all": _reduced(and_, lambda one: cast(one, "bool")),
     "mod": _each(_arithmetic(_mod)), "rem": _each(_arithmetic(_rem)), "isnan": _each(_is_nan),
     "isinf": _each(_float(lambda x: abs(x) == math.inf)), "isfinite": _each(_float(lambda x: abs(x) < math.inf)),
-    "and": OPERATORS["&"], "or": OPERATORS["|"], "not": OPERATORS["~"], "mtimes": _product, "bitshift": _shifted,
+    "and": OPERATORS["&"], "or": OPERATORS["|"], "not": OPERATORS["~"], "mtimes": _product, "bitshift": _each(_shift),
     "times": OPERATORS[".*"], "power": OPERATORS[".^"], "plus": OPERATORS["+"], "minus": OPERATORS["-"],
     "rdivide": OPERATORS["./"], "xor": _each(_logical(operator.ne)), "interp1": _interpolated,
     "bitand": _each(_bits(and_)), "bitor": _each(_bits(or_)), "bitxor": _each(_bits(operator.xor)),
+    "bitset": _with_bit, "typecast": _typecast,
+    "bitget": lambda a, k: _each(lambda one: convert(convert(one, "uint32") >> int(scalar(k)) - 1 & 1, kind_of(one)))(
+        _whole(a)
+    ),
     "sort": lambda a: filled(as_array(a).shape, _ordered(a)), "median": _median,
     "cast": lambda value, kind: SIGNAL_FUNCTIONS[kind](value),
 }  # fmt: skip

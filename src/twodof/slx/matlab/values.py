@@ -154,7 +154,8 @@ def _places(index: Value, size: int) -> Array:
 def indexed(value: Value, index: list[Value]) -> Value:
     """Return the elements of a value at one index or two; ":" stands for all."""
     if isinstance(value, Members) and len(index) == 1:
-        return as_array(index[0]).astype(np.int32)  # Mode(2), the member of this number
+        # Mode(2), the member of this number
+        return converted(index[0], "int32") if is_signal(index[0]) else as_array(index[0]).astype(np.int32)
     if isinstance(value, dict) and all(isinstance(i, np.ndarray) and i.size == 1 and i.flat[0] == 1 for i in index):
         return value  # s(1) of one structure
     if isinstance(value, list) and all(isinstance(one, dict) for one in value) and len(index) == 1:
@@ -269,6 +270,17 @@ def lifted(array: Array) -> Array:
     else:
         raise NotComputed(f"{kind} beside a signal is not translated")
     return filled(array.shape, elements)
+
+
+def lowered(value: Value) -> Value:
+    """Return an array of constants that was computed as signals as a plain one; of several each."""
+    if isinstance(value, list):
+        return [lowered(one) for one in value]
+    if not is_signal(value) or any(isinstance(one, Expr) for one in value.flat):
+        return value
+    plain = [getattr(one, "value", one) for one in value.flatten(order="F")]
+    kind = {"real": "float64"}.get(class_of(value), class_of(value))
+    return np.array(plain, dtype=kind).reshape(value.shape, order="F")
 
 
 def cast(element: Any, kind: str) -> Any:
