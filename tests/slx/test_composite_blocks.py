@@ -211,6 +211,29 @@ def test_older_tables_and_even_breakpoints_are_read(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(("clip", "last"), [(False, False), (True, False), (True, True)])
+def test_even_breakpoints_are_found_by_their_distance(tmp_path: Path, clip: bool, last: bool) -> None:
+    """Places and shares as MathWorks' code of R2023b computes them, which a search would round otherwise."""
+    values = {"NumberOfTableDimensions": "1", "BreakpointsForDimension1": "[-.3 -.2 -.1 0 .1]",
+              "Table": "[1 2.5 .3 4 .1]", "IndexSearchMethod": "Evenly spaced points",
+              "ExtrapMethod": "Clip" if clip else "Linear",
+              "UseLastTableValue": "on" if last else "off"}  # fmt: skip
+    table, first, step = [1.0, 2.5, 0.3, 4.0, 0.1], -0.3, -0.2 - -0.3
+    wanted = []
+    for u in DRAWN[0] / 5.0:
+        inverse = 1.0 / step
+        place = (u - first) * inverse
+        i = int(place) if 0.0 < place < 4 else 0 if place <= 0.0 else 3
+        share = (u - (i * step + first)) * inverse if u > first else (u - first) / step
+        if clip and not first < u:
+            share = 0.0
+        elif clip and place >= 4:
+            share = 1.0
+        between = (table[i + 1] - table[i]) * share + table[i]
+        wanted.append(table[4] if last and place >= 4 else between)
+    assert np.array_equal(run(one_block(tmp_path, "Lookup_n-D", values, ("double",)), [DRAWN[0] / 5.0]), wanted)
+
+
 def square(turns: np.ndarray) -> np.ndarray:
     return np.where(1.0 - (turns - np.floor(turns)) >= 0.5, 1.0, -1.0)
 

@@ -225,6 +225,29 @@ def test_blocks_of_several_sample_times_run_at_their_own_ticks(tmp_path: Path) -
     assert np.array_equal(got["sixth"], np.where(last < 1, 0.0, sixth[np.maximum(last - 1, 0)]))
 
 
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_a_rate_transition_samples_a_slow_input_at_its_own_ticks(tmp_path: Path, deterministic: bool) -> None:
+    """As in multitasking C: a buffer that the slower task fills after the faster one has read it."""
+    kept = {"OutPortSampleTime": "0.02", "InitialCondition": "5", "Deterministic": "on" if deterministic else "off"}
+    blocks: Blocks = [
+        ("Inport", "u", REAL | {"SampleTime": "0.06" if deterministic else "0.03"}),
+        ("RateTransition", "up", kept),
+        ("UnitDelay", "base", {"SampleTime": "0.01"}),
+        ("Outport", "y", {}),
+        ("Outport", "z", {"Port": "2"}),
+    ]
+    lines = [("u", "up"), ("up", "y"), ("u", "base"), ("base", "z")]
+    got = flown(import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx"))), u=DRAWN[0])
+    buffer, out, wanted = 5.0, 5.0, []
+    for k, u in enumerate(DRAWN[0]):
+        if k % 2 == 0 and (k % 6 == 0 or not deterministic):
+            out = buffer
+        if k % (6 if deterministic else 3) == 0:
+            buffer = u
+        wanted.append(out)
+    assert np.array_equal(got["y"], wanted)
+
+
 def test_sample_times_without_a_common_period_are_refused(tmp_path: Path) -> None:
     blocks: Blocks = [
         ("Inport", "u", REAL),

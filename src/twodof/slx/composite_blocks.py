@@ -16,7 +16,7 @@ from twodof.blocks.elementary.functions import floor, sin, trunc
 from twodof.blocks.elementwise import elementwise, search
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.conversions import to_stored
-from twodof.blocks.expressions.expr import int32, to_int32, to_uint32, where
+from twodof.blocks.expressions.expr import int32, to_int32, to_real, to_uint32, where
 from twodof.blocks.library import (
     DiscreteStateSpace,
     Gain,
@@ -410,10 +410,20 @@ class LookupTable(Block):
 
     The breakpoints increase; the table has the first dimension's points side by side. With `clip` u is held within
     the ends. It is interpolated along the first dimension, then along the next, as (right - left) share + left.
+    Even breakpoints, whose distance is in `steps`, are found by it; with `last` the last point is that of the table.
     """
 
-    def __init__(self, points: Sequence[Sequence[float]], table: Sequence[float], method: str, clip: bool) -> None:
-        self.sizes, self.method, self.clip = [len(one) for one in points], method, clip
+    def __init__(
+        self,
+        points: Sequence[Sequence[float]],
+        table: Sequence[float],
+        method: str,
+        clip: bool,
+        steps: Sequence[float] = (),
+        last: bool = False,
+    ) -> None:
+        self.sizes, self.method, self.clip, self.last = [len(one) for one in points], method, clip, last
+        self.steps = steps
         self.inputs = [Port(f"u{k}") for k in range(1, len(points) + 1)]
         self.outputs = [Port("y")]
         self.params = [Param(f"points{k}", list(one), width=len(one)) for k, one in enumerate(points, start=1)]
@@ -421,17 +431,27 @@ class LookupTable(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         """Look up."""
-        places, shares = [], []
+        places, shares, within = [], [], []
         for k, size in enumerate(self.sizes, start=1):
             value, points = u[f"u{k}"], p[f"points{k}"]
-            i = search(points, size, value)
-            share = (value - points[i]) / (points[i + 1] - points[i])
+            inside = value < points[size - 1]
+            if self.steps:
+                step, first = self.steps[k - 1], points[0]
+                inverse = 1.0 / step
+                place = (value - first) * inverse
+                inside = place < size - 1
+                i = to_int32(where(inside, where(place > 0.0, place, 0.0), size - 2.0))
+                share = where(value <= first, (value - first) / step, (value - (to_real(i) * step + first)) * inverse)
+            else:
+                i = search(points, size, value)
+                share = (value - points[i]) / (points[i + 1] - points[i])
             if self.clip or self.method != "linear":
-                share = where(value <= points[0], 0.0, where(value < points[size - 1], share, 1.0))
+                share = where(value <= points[0], 0.0, where(inside, share, 1.0))
             if self.method != "linear":
                 i = where(share >= (0.5 if self.method == "nearest" else 1.0), i + 1, i)
             places.append(i)
             shares.append(share)
+            within.append(inside)
 
         def at(level: int, offset: Any) -> Any:
             if level < 0:
@@ -442,7 +462,8 @@ class LookupTable(Block):
             if self.method != "linear":
                 return left
             right = at(level - 1, here + stride)
-            return (right - left) * shares[level] + left
+            between = (right - left) * shares[level] + left
+            return where(within[level], between, right) if self.last else between
 
         return at(len(self.sizes) - 1, int32(0))
 
@@ -461,13 +482,17 @@ def _lookup(c: Asked) -> Made:
     sizes = [table.size] if count == 1 else list(table.shape)
     if count > 2 or len(c.inputs) != count:
         raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
+    steps: list[float] = []
     for k, size in enumerate(sizes, start=1):
         if c.text("BreakpointsSpecification", "Explicit values") == "Even spacing":
             first, step = (c.scalar(f"BreakpointsForDimension{k}{end}", "1") for end in ("FirstPoint", "Spacing"))
             points.append([first + step * n for n in range(size)])
+            steps.append(step)
         else:
             points.append(c.value(f"BreakpointsForDimension{k}", "[10,22,31]").flatten().tolist())
-    return _table(c, points, table.flatten(order="F").tolist(), method, clip)
+            steps += [points[-1][1] - points[-1][0]] * (c.text("IndexSearchMethod", "") == "Evenly spaced points")
+    last = clip and c.text("UseLastTableValue", "off") == "on"
+    return _table(c, points, table.flatten(order="F").tolist(), method, clip, steps, last)
 
 
 def _older_lookup(c: Asked) -> Made:
@@ -481,15 +506,14 @@ def _older_lookup(c: Asked) -> Made:
     return _table(c, points, table.flatten(order="F").tolist(), method, clip)
 
 
-def _table(c: Asked, points: list[list[float]], table: list[float], method: str, clip: bool) -> Made:
+def _table(c: Asked, points: list[list[float]], table: list[float], method: str, clip: bool, *even: Any) -> Made:
     if math.prod(map(len, points)) != len(table) or min(map(len, points)) < 2:
         raise NotTranslated("Table and breakpoints differ in size, or have one point")
     if any(sorted(set(one)) != one for one in points):
         raise NotTranslated("breakpoints do not increase")
     c.kind("real")
-    block = LookupTable(points, [float(v) for v in table], method, clip)
     if c.width is None:
-        return Made(block, [Signal()])
+        return Made(LookupTable(points, [float(v) for v in table], method, clip, *even), [Signal()])
     raise NotTranslated("a table of a vector is not translated")
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.diagram import BASE, Rate
-from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite
+from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, check_inputs
 from twodof.slx.bus_ports import with_bus_ports, with_ports
@@ -598,15 +598,28 @@ class _Import(Wiring):
         return made
 
     def _transition(self, key: tuple[str, str], c: Asked) -> Made | None:
-        """Return the delay of a Rate Transition whose input is slower; None where it only samples."""
+        """Return the delay of a Rate Transition whose input is slower; None where it only samples.
+
+        One that need not be deterministic is late by a tick: the task of the slower blocks comes after that of the
+        faster ones, as in MathWorks' multitasking code.
+        """
         origin = self._origin(key[0], self._inputs(key)[0])
-        before = None if origin is None else self._rate(origin[:2])
-        if (
-            before is None
-            or before.divider <= self.rates.get(key, BASE).divider
-            or c.text("Deterministic", "on") == "off"
-        ):
+        if origin is None:
             return None
-        self.held[key] = before
+        inport = self.blocks[origin[:2]].type == "Inport"  # the diagram's is read in every tick
+        before = self.rates.get(origin[:2], BASE) if inport else self._rate(origin[:2])
+        if before is None or before.divider <= self.rates.get(key, BASE).divider:
+            return None
         one, start = c.inputs[0], c.scalar("InitialCondition" if "InitialCondition" in c.values else "X0", "0")
-        return Made(RateTransition(plain(start, one.kind), one.kind, one.width), [one])
+        late = RateTransition(plain(start, one.kind), one.kind, one.width)
+        if c.text("Deterministic", "on") == "on":
+            self.held[key] = before
+            return Made(late, [one])
+        self.held[key] = BASE
+        d = Diagram("transition")
+        d.input("u", one.kind, one.width)
+        d.add("held", ZeroOrderHold(one.kind, one.width), rate=before, u="u")
+        d.add("late", late, u="held")
+        d.add("y", ZeroOrderHold(one.kind, one.width), rate=self.rates.get(key, BASE), u="late")
+        d.output("y", "y")
+        return Made(d, [one], expand=False)
