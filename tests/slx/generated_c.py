@@ -59,14 +59,14 @@ class GeneratedCode:
         for name, size, system, block in re.findall(
             r"(\w+_(?:D|DS|DST|DSTA|DSTAT|DSTATE)(?:_\w+)?)(\[\d+\])?;\s*/\* '<(\w+)>/([^']*)'", found[1]
         ):
-            path = ".".join(map(_plain, [*filter(None, systems.get(system, "").split("/")), block]))
+            path = ".".join(map(plain, [*filter(None, systems.get(system, "").split("/")), block]))
             wanted = int(size[1:-1]) if size else 1
-            alike = [one for one, width in known.items() if width == wanted and _plain(one).startswith(f"{path}.")]
+            alike = [one for one, width in known.items() if width == wanted and plain(one).startswith(f"{path}.")]
             pairs |= {name: one for one in alike if one.endswith((".x", ".buffer"))}  # noqa: B035
         return pairs
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
     return re.sub(r"[^\w.]+", "_", name).lower()
 
 

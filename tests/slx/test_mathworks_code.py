@@ -2,7 +2,7 @@
 
 TWODOF_SLX_REPOS names a folder of checkouts, OWNER+NAME, of which nothing is kept here: JakubRichardson/IGDP-DroneProj
 at f54bdc9, and with their history Firmament-Autopilot/FMT-Model and FMT-Firmware, robotology/icub-firmware-models and
-icub-firmware. A model and its C must have one version.
+icub-firmware, and ts1413/test. A model and its C must have one version.
 """
 
 import ctypes
@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from bench.computing.simulink_controller import GENERATED, MODEL, STATES, flight_controller
-from tests.slx.generated_c import built, drawn, leaves, value
+from tests.slx.generated_c import TYPES, built, drawn, leaves, plain, value
 from twodof.compile import build
 from twodof.compile.machine import CompiledMachine
 from twodof.slx.importer import Imported, import_system
@@ -355,3 +355,62 @@ def test_a_velocity_has_the_bits_of_mathworks_code_but_for_its_fit(tmp_path: Pat
     assert fitted.any()
     unit = np.spacing(np.abs(wanted).max())  # of the largest: the terms of a fit nearly cancel
     assert np.allclose(found[fitted], wanted[fitted], rtol=0.0, atol=4.0 * unit)
+
+
+# --- one block each, of a suite of test cases: signals are global variables, and rates are functions of their own
+
+
+SUITE = "ts1413+test"
+BLOCKS = {
+    "kohei-y/Logic_and_Bit": ("Bitwise_Operator_mask", "Bitwise_Operator_nomask", "Compare_to_Zero"),
+    "kohei-y/Signal_Attr": ("Data_Type_Conversion", "IC", "Rate_Transition_1z", "Rate_Transition_Buf",
+                            "Rate_Transition_Copy", "Rate_Transition_DbBuf", "Rate_Transition_ZOH",
+                            "Signal_Conversion_Copy"),
+    "kohei-y/Signal_Rout": ("Merge",),
+    "ts1413/Math_Operations": ("Product_of_Elements", "Sum_of_elements", "Trigonometric_Function"),
+    "yamasefu/CommonUsedBlocks": ("DataTypeConversion1", "DataTypeConversion2", "Gain1", "LogicalOperator", "Product1",
+                                  "Product2", "RelationalOperator", "Saturation", "Sum1", "Sum2", "Switch",
+                                  "Unit_Delay"),
+    "yamasefu/LookupTables": ("LookupTable1D1", "LookupTable1D2", "LookupTable1D5", "LookupTable2D", "LookupTablenD"),
+    "yoshi12/Ports_Subsystems": ("if_and_if_action_subsys",),
+}  # fmt: skip
+"""Models of S2B-Q/test-cases at d883906, by folder, each with its C beside it in NAME_ert_rtw."""
+
+
+@pytest.mark.parametrize(("folder", "name"), [(folder, name) for folder, names in BLOCKS.items() for name in names])
+def test_a_block_has_the_bits_of_mathworks_c(tmp_path: Path, folder: str, name: str) -> None:
+    """2,000 steps of the output; faster functions of a model with several rates come first, as in its main program."""
+    at = taken(SUITE, "d883906", f"S2B-Q/test-cases/{folder}", tmp_path / "c")
+    model, c = read_model(at / f"{name}.slx"), at / f"{name}_ert_rtw"
+    text, header = ((c / f"{name}.{end}").read_text("utf-8", "replace") for end in "ch")
+    assert re.search(rf"Model version\s*: {model.version}$", text, re.MULTILINE)
+    found = import_system(model, otherwise=0.1)
+    assert found.diagram is not None, found.refused
+    code = built(c, [one.name for one in sorted(c.glob(f"{name}*.c"))], tmp_path, single=False)
+    root = model.system("")
+    shown = {plain(root.blocks[line.source.sid].name) for line in root.lines if line.source is not None
+             for pin in line.wire.sinks() if root.blocks[pin.sid].type == "Outport"}  # fmt: skip
+    cells = {
+        plain(block): TYPES[kind].in_dll(code.library, variable)
+        for kind, variable, block in re.findall(
+            r"^extern (\w+) (\w+);\s*/\* '<Root>/([^']*)' \*/", header, re.MULTILINE
+        )
+    }
+    rates = [
+        (step, round(float(period) / found.dt))
+        for step, period in re.findall(rf"void ({name}_step\d+)\(void\)\s*/\* Sample time: \[([\d.]+)s", text)
+    ] or [(f"{name}_step", 1)]
+    draw, machine = np.random.default_rng(9), build(found.diagram, dt=found.dt).machine()
+    columns = {port: drawn(type(cells[plain(port)]), 1, STEPS, (-100, 100), draw)[:, 0] for port in machine.inputs}
+    getattr(code.library, f"{name}_initialize")()
+    wanted, given = [], []
+    for k in range(STEPS):
+        for port, column in columns.items():
+            cells[plain(port)].value = column[k].item()
+        for step, divider in rates:
+            if k % divider == 0:
+                getattr(code.library, step)()
+        wanted.append([cells[one].value for one in sorted(shown)])
+        given.append(list(machine.step({port: column[k].item() for port, column in columns.items()}).values()))
+    assert len(set(map(tuple, wanted))) > 1
+    assert np.array_equal(given, wanted)
