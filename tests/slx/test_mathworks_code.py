@@ -362,13 +362,13 @@ def test_a_velocity_has_the_bits_of_mathworks_code_but_for_its_fit(tmp_path: Pat
 
 SUITE = "ts1413+test"
 BLOCKS = {
-    "kohei-y/Logic_and_Bit": ("Bitwise_Operator_mask", "Bitwise_Operator_nomask", "Compare_to_Zero"),
+    "kohei-y/Logic_and_Bit": ("Bitwise_Operator_mask", "Bitwise_Operator_nomask"),
     "kohei-y/Signal_Attr": ("Data_Type_Conversion", "IC", "Rate_Transition_1z", "Rate_Transition_Buf",
                             "Rate_Transition_Copy", "Rate_Transition_DbBuf", "Rate_Transition_ZOH",
                             "Signal_Conversion_Copy"),
     "kohei-y/Signal_Rout": ("Merge",),
     "ts1413/Math_Operations": ("Product_of_Elements", "Sum_of_elements", "Trigonometric_Function"),
-    "yamasefu/CommonUsedBlocks": ("DataTypeConversion1", "DataTypeConversion2", "Gain1", "LogicalOperator", "Product1",
+    "yamasefu/CommonUsedBlocks": ("DataTypeConversion1", "DataTypeConversion2", "Gain1", "Product1",
                                   "Product2", "RelationalOperator", "Saturation", "Sum1", "Sum2", "Switch",
                                   "Unit_Delay"),
     "yamasefu/LookupTables": ("LookupTable1D1", "LookupTable1D2", "LookupTable1D5", "LookupTable2D", "LookupTablenD"),
@@ -386,7 +386,7 @@ def test_a_block_has_the_bits_of_mathworks_c(tmp_path: Path, folder: str, name: 
     assert re.search(rf"Model version\s*: {model.version}$", text, re.MULTILINE)
     found = import_system(model, otherwise=0.1)
     assert found.diagram is not None, found.refused
-    code = built(c, [one.name for one in sorted(c.glob(f"{name}*.c"))], tmp_path, single=False)
+    code = built(c, [one.name for one in sorted(c.glob("*.c")) if one.name != "ert_main.c"], tmp_path, single=False)
     root = model.system("")
     shown = {plain(root.blocks[line.source.sid].name) for line in root.lines if line.source is not None
              for pin in line.wire.sinks() if root.blocks[pin.sid].type == "Outport"}  # fmt: skip
