@@ -17,7 +17,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
 from twodof.errors import TwodofError
-from twodof.slx.blocks import DROPPED, INPUTS, RULES, check_inputs
+from twodof.slx.blocks import DROPPED, INPUTS, RULES, TAKES_BUSES, carried_out
 from twodof.slx.model import SimulinkBlock
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
 
@@ -81,9 +81,10 @@ def _tried(rule: Rule, kind: str, signal: Signal, parameters: _Parameters | None
     block = SimulinkBlock(kind, kind, "1", {})
     given = _Parameters() if parameters is None else parameters
     asked = Asked(block, kind, given, {}, inputs, 0.004, labels=[""] * len(inputs))
+    if isinstance(signal.kind, Bus) and kind not in TAKES_BUSES:
+        return None
     try:
-        check_inputs(kind, inputs)
-        made = rule(asked)
+        made = carried_out(asked, rule)
     except (NotTranslated, TwodofError, LookupError):
         return None
     ports = [] if made.item is None else made.item.inputs

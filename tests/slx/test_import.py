@@ -378,7 +378,7 @@ def test_three_pid_controllers_have_the_bits_of_mathworks_c() -> None:
     (_, given), (names, wanted) = table("in"), table("out")
     loops = ("PID_Pitch", "PID_Roll", "PID_Azimuth")
     states = [
-        path for loop in loops for path in (f"{loop}.Discrete_Time_Integrator.x", f"{loop}.Discrete_Derivative.UD.x")
+        path for loop in loops for path in (f"{loop}.Discrete_Time_Integrator.x", f"{loop}.Discrete_Derivative.x")
     ]
     machine = build(found.diagram, dt=found.dt).machine()
     outputs, kept = [], []

@@ -32,7 +32,7 @@ pytestmark = [
     pytest.mark.skipif(not REPOS, reason="let TWODOF_SLX_REPOS name the folder of the public repositories' checkouts"),
 ]
 STEPS = 2000
-KEPT = ("Attitude.Discrete_Time_Integrator.x", "Attitude.Delay.buffer", "S_R_Flip_Flop.Q.x")
+KEPT = ("Attitude.Discrete_Time_Integrator.x", "Attitude.Delay.buffer", "S_R_Flip_Flop.f_x")
 DRIVER = """
 #include <stdio.h>
 #include "flightController.h"

@@ -5,22 +5,20 @@ block's missing parameters mean stands in Simulink's own defaults: Same as first
 Source: Simulink reference, blocks Sum, Product, Gain, Data Type Conversion, Shift Arithmetic, Bitwise Operator.
 """
 
+import dataclasses
 import math
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial, reduce
 from typing import Any
 
-from twodof.blocks import Diagram
-from twodof.blocks.block import Block
 from twodof.blocks.elementary.functions import ceil, floor, round_half_away, round_half_even, trunc
 from twodof.blocks.elementwise import clamp
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, where
-from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, STORED, WORDS
-from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Constant, Maximum, Minimum, Saturation
+from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, INTEGERS, STORED, WORDS
+from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Maximum, Minimum, Saturation
 from twodof.slx.composite_blocks import formula
 from twodof.slx.data_types import kind_of
 from twodof.slx.translation import (
@@ -30,10 +28,8 @@ from twodof.slx.translation import (
     Rule,
     Signal,
     each,
-    expanded,
     of_elements,
     passes,
-    plain,
     same,
 )
 
@@ -69,6 +65,8 @@ def fitted(value: Any, kind: str, saturate: bool, rounding: str) -> Any:
     if kind == "bool":
         return value != 0.0
     whole = ROUNDING[rounding](value)
+    if kind == "float64":
+        return whole
     if not saturate:
         span = float(BY_NAME[kind].high - BY_NAME[kind].low + 1)
         whole = whole - floor(whole / span) * span
@@ -90,7 +88,7 @@ def whole(c: Asked, of: Callable[..., Any], default: str = "Inherit: Same as fir
         kind = str(_kind(c, said))
     if kinds == {"real"} and kind == "real":
         return None
-    if kind not in ("real", *INTEGERS):
+    if kind not in ("real", "float64", *INTEGERS):
         raise NotTranslated(f"a result of the type {kind} is not translated")
     if kind in INTEGERS and said.startswith("Inherit: Inherit via internal rule"):
         c.notes.append(f"the internal rule for whole numbers: the type {kind} of the inputs is kept")
@@ -128,7 +126,7 @@ def whole_product(c: Asked, signs: str) -> Made | None:
     if kinds == {"real"} and wanted == "real":
         return None
     c.values.setdefault("RndMeth", "Zero")
-    if ("/" in signs and kinds != {"real"}) or len(signs) > 2:
+    if ("/" in signs and "real" not in kinds) or len(signs) > 2:
         raise NotTranslated(f"Inputs = {signs!r} of {' and '.join(sorted(kinds))} is not translated")
     if not _saturates(c) and kinds == {wanted} and kinds <= set(WORDS):  # the low bits of a product of 64 bits
         return formula(c, lambda t, *v: reduce(operator.mul, v), kinds.pop())
@@ -138,8 +136,11 @@ def whole_product(c: Asked, signs: str) -> Made | None:
 
 def whole_gain(c: Asked, gain: float) -> Made | None:
     """Return a gain of whole numbers; None where all is real. A gain of whole numbers must be whole itself."""
-    real = c.text("ParamDataTypeStr", "") in ("double", "single") or c.inputs[0].number == "real"
+    real = c.text("ParamDataTypeStr", "") in ("double", "single") or c.inputs[0].number in FLOATS
     kind, said = BY_NAME[c.inputs[0].number], c.text("OutDataTypeStr", "")
+    if kind.name == "bool" and said.startswith("Inherit: Inherit via internal"):
+        c.values["OutDataTypeStr"], real = "double", True
+        c.notes.append("the internal rule for a boolean and a number: double")
     if not real and not gain.is_integer() and gain > 0.0 == kind.low and said in ("single", "double"):
         # The gain is a whole number of as many bits, scaled by the smallest power of two that it fits.
         scale = 2.0 ** math.floor(math.log2((kind.high + 0.5) / gain))
@@ -161,8 +162,6 @@ def _bias(c: Asked) -> Made:
 
 
 def _saturate(c: Asked) -> Made:
-    if c.value("LowerLimit", "-0.5").size > 1 or c.value("UpperLimit", "0.5").size > 1:
-        return each(_saturate, "LowerLimit", "UpperLimit")(c)
     low, high = c.scalar("LowerLimit", "-0.5"), c.scalar("UpperLimit", "0.5")
     if c.inputs[0].number != "real" and not all(v.is_integer() or math.isinf(v) for v in (low, high)):
         raise NotTranslated(f"limits {low:g} and {high:g} of {c.inputs[0]} are not translated")
@@ -233,21 +232,7 @@ def _compare_to(c: Asked, wanted: float) -> Made:
 
 
 def _compare_to_constant(c: Asked) -> Made:
-    """Compare with a number, or each element with its own one."""
-    wanted, one = c.value("const", "3.0"), c.inputs[0]
-    if wanted.size == 1:
-        return _compare_to(c, float(wanted.flat[0]))
-    both = Signal(one.number, wanted.size)
-    item = _relational(replace(c, values={**c.values, "Operator": c.text("relop", "<=")}, inputs=[both, both])).item
-    if not isinstance(item, Block):
-        raise NotTranslated(f"const of {wanted.size} elements is not translated")
-    d = Diagram("compared")
-    d.input("u", one.kind, one.width)
-    d.add("const", Constant([plain(v, one.kind) for v in wanted.flatten()], one.kind, wanted.size))
-    sources = (expanded(d, "u", one, wanted.size), "const")
-    d.add("y", item, inputs={port.name: source for port, source in zip(item.inputs, sources, strict=True)})
-    d.output("y", "y")
-    return Made(d, [Signal("bool", wanted.size)], expand=False)
+    return _compare_to(c, c.scalar("const", "3.0"))
 
 
 # --- bits
@@ -280,16 +265,56 @@ def _shift(c: Asked) -> Made:
     return formula(c, lambda t, u: convert(shift(convert(u, word), abs(count)), kind), kind)
 
 
+def _field(c: Asked) -> Made:
+    """Return some bits of a whole number, shifted bits, or the bits of several ones side by side, the first highest.
+
+    Simulink's type has as many bits as there are (`ufix3`): here it is the smallest kind that holds them.
+    """
+    kinds, name, shift = {one.number for one in c.inputs}, c.block.kind, 0
+    if not kinds <= set(INTEGERS) or any(one.width is not None for one in c.inputs):
+        raise NotTranslated(f"bits of {' and '.join(map(str, c.inputs))} are not translated")
+    sizes = [one.bits or len(f"{BY_NAME[one.number].high - BY_NAME[one.number].low:b}") for one in c.inputs]
+    total = sum(sizes)
+    if name == "Bit Shift":
+        shift = int(c.scalar("N", "1")) * c.pick("mode", _LOGICAL[0], dict(zip(_LOGICAL, (-1, 1), strict=True)))
+    elif name != "Bit Concat":
+        last, shift = (int(c.scalar(end, "0")) for end in ("lidx", "ridx"))
+        if name == "Extract Bits":
+            c.needs("bitsToExtract", "Upper half", "Range of bits")
+            c.needs("outScalingMode", "Preserve fixed-point scaling", "Treat bit field as an integer")
+            shift, last = (int(c.value("bitIdxRange", "[0 7]").flat[k]) for k in (0, -1))
+        if not 0 <= shift <= last < total:
+            raise NotTranslated(f"bits {shift} to {last} of {c.inputs[0]} are not translated")
+        total = last - shift + 1
+    kind = next((kind for kind in ("uint8", "uint16", "uint32") if BY_NAME[kind].high >= 2**total - 1), "")
+    if not kind or abs(shift) > 31:
+        raise NotTranslated(f"{total} bits, or a shift by {shift}, are not translated")
+
+    def joined(t: Any, *u: Any) -> Any:
+        found: Any = None
+        for one, size in zip(u, sizes, strict=True):
+            bits = convert(one, "uint32") & 2**size - 1
+            found = bits if found is None else found << size | bits
+        return convert((found << -shift if shift < 0 else found >> shift) & 2**total - 1, kind)
+
+    made = formula(c, joined, kind)
+    return Made(made.item, [dataclasses.replace(made.outputs[0], bits=total)])
+
+
+_LOGICAL = ("Shift Left Logical", "Shift Right Logical")
+
+
 ARITHMETIC_RULES: dict[str, Rule] = {
     "Abs": _absolute,
     "ArithShift": _shift,
     "Bias": _bias,
     "Bitwise Operator": _bits,
-    **dict.fromkeys(("CompareToConstant", "Compare To Constant"), _compare_to_constant),
+    **dict.fromkeys(("Bit Concat", "Bit Shift", "Bit Slice", "Extract Bits"), _field),
+    **dict.fromkeys(("CompareToConstant", "Compare To Constant"), each(_compare_to_constant, "const", wide=True)),
     **dict.fromkeys(("CompareToZero", "Compare To Zero"), lambda c: _compare_to(c, 0.0)),
     "DataTypeConversion": _convert,
     "MinMax": _min_max,
     "RelationalOperator": _relational,
-    "Saturate": _saturate,
+    "Saturate": each(_saturate, "LowerLimit", "UpperLimit", wide=True),
 }
 """Rules of the blocks whose types decide what they compute."""

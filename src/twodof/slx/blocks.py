@@ -6,10 +6,9 @@ left to right; a Discrete Derivative keeps the scaled input, and so on: each fun
 """
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -17,13 +16,13 @@ from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.expressions.expr import convert, where
-from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, KINDS, STORED
+from twodof.blocks.expressions.numbers import KINDS, STORED
 from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.blocks.library import (
+    BusSelect,
     CompareToConstant,
     Concatenate,
     Constant,
-    Convert,
     DeadZone,
     Demux,
     DotProduct,
@@ -49,22 +48,28 @@ from twodof.blocks.library.logic import COMPARISONS
 from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
 from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, formula
 from twodof.slx.conditions import CONDITION_RULES
-from twodof.slx.data_types import BUS_RULES, kind_of, sized, value_of
+from twodof.slx.data_types import BUS_RULES, kind_of, signal_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
-from twodof.slx.matrices import MATRIX_LINES, matrix
+from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
 from twodof.slx.toolbox_blocks import TOOLBOX_RULES
 from twodof.slx.translation import (
+    TYPES,
     Asked,
+    Item,
     Made,
     NotTranslated,
     Rule,
     Signal,
+    each,
     expanded,
     holds,
+    names_of,
     of_elements,
     passes,
     plain,
     same,
+    signs,
+    widest,
 )
 
 
@@ -94,16 +99,7 @@ def _gain(c: Asked) -> Made:
     if gain.size == 1:
         return same(c, Gain(float(gain.flat[0]), c.width))
     if mode.startswith("Element"):
-        if 1 not in gain.shape or c.width not in (None, gain.size):
-            raise NotTranslated(f"Gain has {gain.size} elements and the input {c.width or 1}")
-        if c.width is None:
-            return Made(MatrixGain([[float(k)] for k in gain.flatten()]), [Signal("real", gain.size)])
-        d = Diagram("gains")
-        d.input("u", width=gain.size)
-        d.add("k", Constant([float(k) for k in gain.flatten()], width=gain.size))
-        d.add("y", Product("**", gain.size), a="k", b="u")
-        d.output("y", "y")
-        return Made(d, [Signal("real", gain.size)])
+        return each(_gain, "Gain")(c)
     if mode not in ("Matrix(K*u)", "Matrix(K*u) (u vector)"):
         raise NotTranslated(f"Multiplication = {mode!r} is not translated")
     if gain.shape[1] != (c.width or 1):
@@ -111,38 +107,33 @@ def _gain(c: Asked) -> Made:
     return Made(MatrixGain(gain.tolist()), [Signal("real", None if gain.shape[0] == 1 else gain.shape[0])])
 
 
-def _signs(c: Asked, default: str, one: str, known: str) -> str:
-    said = c.text("Inputs", default).replace("|", "").replace(" ", "")
-    if not said.strip(known):
-        return said
-    return one * int(c.scalar("Inputs", default))
-
-
 def _sum(c: Asked) -> Made:
-    signs = _signs(c, "++", "+", "+-")
-    if len(signs) == 1 and c.width is not None:
+    terms = signs(c, "++")
+    if len(terms) == 1 and c.width is not None:
         c.kind("real")
-        if signs == "-":
+        if terms == "-":
             raise NotTranslated("a sum of elements with a minus is not translated")
         return Made(SumOfElements(c.width), [Signal()])
-    made = whole_sum(c, signs)
-    if made is None and len(signs) > 2 and signs[0] == "-" and "+" in signs:
-        return formula(c, lambda t, *v: signed_sum(signs, *v))
-    return made or same(c, Sum(signs, "real", c.width))
+    made = whole_sum(c, terms)
+    if made is None and len(terms) > 2 and terms[0] == "-" and "+" in terms:
+        return formula(c, lambda t, *v: signed_sum(terms, *v))
+    return made or same(c, Sum(terms, "real", c.width))
 
 
 def _product(c: Asked) -> Made:
     vectors = sum(one.width is not None for one in c.inputs)  # with scalars beside it a vector is only scaled
     if c.text("Multiplication", "Element-wise(.*)") != "Element-wise(.*)" and (vectors > 1 or len(c.inputs) == vectors):
         raise NotTranslated("a product of matrices is not translated")
-    signs = _signs(c, "2", "*", "*/")
-    if (made := whole_product(c, signs)) is not None:
+    terms = signs(c, "**")
+    if (made := whole_product(c, terms)) is not None:
         return made
-    if len(signs) == 1:
+    if len(terms) == 1:
+        if c.width is not None and terms == "/":
+            raise NotTranslated("a quotient of elements is not translated")
         if c.width is not None:
-            raise NotTranslated("a product of elements is not translated")
-        return same(c, Elementary("reciprocal") if signs == "/" else Gain(1.0))
-    return same(c, Product(signs, c.width))
+            return of_elements(replace(c, values={**c.values, "Inputs": "*" * c.width}), _product)
+        return same(c, Elementary("reciprocal") if terms == "/" else Gain(1.0))
+    return same(c, Product(terms, c.width))
 
 
 def _mux(c: Asked) -> Made:
@@ -209,85 +200,70 @@ def _selector(c: Asked) -> Made:
 def _switch(c: Asked) -> Made:
     """Compute the criterion of the second input beside the choice between the first and the third."""
     first, control, third = c.inputs
-    kinds = {str(first.kind), str(third.kind)}
-    whole = len(kinds) == 2 and kinds <= set(INTEGERS) and len({kind[0] for kind in kinds}) == 1
-    mixed = whole or kinds == {"real", "bool"}  # the boolean becomes 0 or 1, of whole numbers the wider type is kept
-    alike = mixed or replace(first, width=None).like(replace(third, width=None))
-    if not alike or isinstance(control.kind, Bus) or (control.width is not None and mixed):
-        raise NotTranslated(f"its inputs are {first} and {third}, and the control {control}")
+    if isinstance(control.kind, Bus):
+        raise NotTranslated(f"its control is {control}")
     criterion = c.needs("Criteria", "u2 >= Threshold", "u2 >= Threshold", "u2 > Threshold", "u2 ~= 0")
-    operation = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
+    compare = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
     threshold = 0.0 if criterion == "u2 ~= 0" else c.scalar("Threshold", "0")
+    kind = widest([first, third])
     if control.width is not None:  # each element has its own
-        exact = "real" if control.kind == "real" else "float64"
+        of, exact, number = COMPARISONS[compare], "real" if control.kind == "real" else "float64", Signal(kind).number
         return formula(
-            c, lambda t, a, u, b: where(COMPARISONS[operation](convert(u, exact), threshold), a, b), first.number
+            c,
+            lambda t, a, u, b: where(of(convert(u, exact), threshold), convert(a, number), convert(b, number)),
+            number,
         )
     c.inputs = [first, third]
-    width, kind = c.width, first.kind
-    if mixed:
-        kind = max(kinds, key=lambda one: BY_NAME[one].high) if whole else "real"
-    d = Diagram("switch")
+    d, width = Diagram("switch"), c.width
     d.input("u1", first.kind, first.width)
     condition = d.input("u2", control.kind)
     d.input("u3", third.kind, third.width)
     if control.kind == "bool":
-        low, high = (COMPARISONS[operation](value, threshold) for value in (0.0, 1.0))
+        low, high = (COMPARISONS[compare](value, threshold) for value in (0.0, 1.0))
         if low == high:  # whatever the control is
             condition = d.add("condition", Constant(high, "bool"))
     elif control.kind != "real" and not threshold.is_integer():
         raise NotTranslated(f"a comparison of {control} with Threshold = {threshold:g} is not translated")
     else:
-        condition = d.add("condition", CompareToConstant(operation, threshold, control.kind), u="u2")
-    sources = {}
-    for name, one in (("u1", first), ("u3", third)):
-        source = name
-        if one.kind != kind:
-            source = d.add(f"{name}_{kind}", Convert(str(one.kind), kind, width=one.width), u=name)
-        sources[name] = expanded(d, source, replace(one, kind=kind), width)
-    d.add("y", Switch(kind, width), condition=condition, a=sources["u1"], b=sources["u3"])
+        condition = d.add("condition", CompareToConstant(compare, threshold, control.kind), u="u2")
+    chosen = {port: expanded(d, name, one, width, kind) for port, name, one in (("a", "u1", first), ("b", "u3", third))}
+    d.add("y", Switch(kind, width), inputs={"condition": condition, **chosen})
     d.output("y", "y")
     return Made(d, [Signal(kind, width)], expand=False)
 
 
-def _function(block: type[Any], functions: dict[str, str]) -> Rule:
-    def made(c: Asked) -> Made:
-        c.kind("real")
-        name = c.text("Operator", c.text("Function", next(iter(functions))))
-        if name not in functions:
-            raise NotTranslated(f"Operator = {name!r} is not translated")
-        return same(c, block(functions[name], c.width))
-
-    return made
-
-
-def _math(c: Asked) -> Made:
-    """Compute a function of one number, or of two by the language's own functions."""
-    name = c.text("Operator", "exp")
-    pairs = {"pow": Power, "mod": Remainder, "hypot": Hypot}
-    if name not in pairs:
-        return _function(Elementary, MATH)(c)
+def _function(c: Asked) -> Made:
+    """Compute a function of one number or of two; those of angles and powers by the language's own definitions."""
     c.kind("real")
-    c.notes.append(f"{name} is the language's own: some units in the last place from the C library's")
-    return same(c, pairs[name](width=c.width))
-
-
-def _trigonometry(c: Asked) -> Made:
-    c.kind("real")
-    name = c.text("Operator", c.text("Function", "sin"))
-    if name == "atan2":
-        return same(c, Atan2Block(c.width))
-    if name == "sincos":
-        c.notes.append("sin and cos are the language's own: within 2.5 units in the last place of the C library's")
-        d = Diagram("sincos")
-        d.input("u", width=c.width)
-        for one in ("sin", "cos"):
-            d.output(one, d.add(f"{one}e", Trigonometry(one, c.width), u="u"))
-        return Made(d, [Signal("real", c.width)] * 2)
-    if name not in ("sin", "cos", "tan", "asin", "acos", "atan", "tanh"):
+    functions = FUNCTIONS[c.block.type]
+    name = c.text("Operator", c.text("Function", next(iter(functions))))
+    if name not in functions:
         raise NotTranslated(f"Operator = {name!r} is not translated")
-    c.notes.append(f"{name} is the language's own: within 2.5 units in the last place of the C library's")
-    return same(c, Trigonometry(name, c.width))
+    if c.block.type == "Trigonometry" or name in ("pow", "mod", "hypot"):
+        c.notes.append(f"{name} is the language's own: within 2.5 units in the last place of the C library's")
+    if name != "sincos":
+        return same(c, functions[name](width=c.width))
+    d = Diagram("sincos")
+    d.input("u", width=c.width)
+    for one in ("sin", "cos"):
+        d.output(one, d.add(f"{one}e", functions[one](width=c.width), u="u"))
+    return Made(d, [Signal("real", c.width)] * 2)
+
+
+_ANGLES = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh")
+_ELEMENTARY = {name: partial(Elementary, name) for name in ("exp", "log", "square", "reciprocal", "sqrt")}
+_ROUNDED = {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}
+FUNCTIONS: dict[str, dict[str, Callable[..., Item]]] = {
+    "Math": {**_ELEMENTARY, "magnitude^2": _ELEMENTARY["square"], "pow": Power, "mod": Remainder, "hypot": Hypot},
+    "Rounding": {name: partial(Rounding, mode) for name, mode in _ROUNDED.items()},
+    "Sqrt": {"sqrt": _ELEMENTARY["sqrt"]},
+    "Trigonometry": {
+        **{one: partial(Trigonometry, one) for one in _ANGLES},
+        "atan2": Atan2Block,
+        "sincos": Trigonometry,
+    },
+}
+"""Functions of the blocks that have a choice of them; the first one is that of a block that says none."""
 
 
 def _logic(c: Asked) -> Made:
@@ -296,18 +272,12 @@ def _logic(c: Asked) -> Made:
         raise NotTranslated(f"Operator = {name!r} is not translated")
     if len(c.inputs) == 1 and c.width is not None and name != "not":  # of the elements of one vector
         return of_elements(c, _logic)
-    logic, output = Logic(name, len(c.inputs), c.width), Signal("bool", c.width)
-    if all(one.kind == "bool" for one in c.inputs):
-        return Made(logic, [output])
-    d = Diagram("logic")  # a number is true unless it is 0
-    d.add("y", logic)
-    for port, one in zip(logic.inputs, c.inputs, strict=True):
-        source = d.input(port.name, one.kind, c.width)
-        if one.kind != "bool":
-            source = d.add(f"{port.name}_true", CompareToConstant("!=", 0, one.kind, c.width), u=source)
-        d.connect(source, f"y.{port.name}")
-    d.output("y", "y")
-    return Made(d, [output])
+    logic, flags = Logic(name, len(c.inputs), c.width), [one.kind == "bool" for one in c.inputs]
+    if all(flags):
+        return Made(logic, [Signal("bool", c.width)])
+    # a number is true unless it is 0
+    of = lambda t, *u: logic.of(None, *(one if flag else one != 0 for one, flag in zip(u, flags, strict=True)))  # noqa: E731
+    return formula(c, of, "bool")
 
 
 def _dot(c: Asked) -> Made:
@@ -319,11 +289,7 @@ def _dropped(c: Asked) -> Made:
     return Made(None, [])
 
 
-_KIND_OF = {"float64": "real", **{name: name for name in ("bool", *INTEGERS)}}
-
-
-MATH = {**{name: name for name in ("exp", "log", "square", "reciprocal", "sqrt")}, "magnitude^2": "square"}
-"""The first one is that of a block that says none."""
+_KIND_OF = TYPES | {"float64": "real", "bool": "bool"}
 
 
 DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop", *SHOWN)
@@ -345,18 +311,15 @@ RULES: dict[str, Rule] = {
     "Gain": _gain,
     "Ground": lambda c: _constant(replace(c, values={"OutDataTypeStr": "double", **c.values, "Value": "0"})),
     "Logic": _logic,
-    "Math": _math,
     "Mux": _mux,
     "Product": _product,
     "RateTransition": holds,
-    "Rounding": _function(Rounding, {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}),
+    **dict.fromkeys(FUNCTIONS, _function),
     "Selector": _selector,
-    "SignalSpecification": passes,
+    **dict.fromkeys(("BusToVector", "SignalSpecification"), passes),
     "Signum": lambda c: same(c, Sign(c.kind("real"), c.width)),
-    "Sqrt": _function(Elementary, {"sqrt": "sqrt"}),
     "Sum": _sum,
     "Switch": _switch,
-    "Trigonometry": _trigonometry,
     "UnaryMinus": lambda c: whole(c, operator.neg) or same(c, Sum("-", "real", c.width)),
     "ZeroOrderHold": holds,
     **dict.fromkeys(DROPPED, _dropped),
@@ -365,7 +328,7 @@ RULES: dict[str, Rule] = {
 
 
 TAKES_BUSES = (
-    *("BusAssignment", "BusCreator", "BusSelector", "Delay", "ManualSwitch", "Memory", "RateTransition"),
+    *("BusAssignment", "BusCreator", "BusSelector", "Delay", "Memory", "RateTransition"),
     *("SignalConversion", "SignalSpecification", "Switch", "UnitDelay", "ZeroOrderHold", *DROPPED),
 )
 TAKES_SMALL = (
@@ -376,24 +339,54 @@ TAKES_SMALL = (
 TAKES_MATRICES = ("BusAssignment", "BusCreator", *MATRIX_LINES, *DROPPED)
 
 
-def check_inputs(kind: str, inputs: Sequence[Signal]) -> None:
-    """Raise NotTranslated if a block of this kind does not take one of the signals."""
-    for one in inputs:
-        bad = (
-            (isinstance(one.kind, Bus) and kind not in TAKES_BUSES)
-            or (one.kind in STORED and kind not in TAKES_SMALL)
-            or (one.shape is not None and kind not in TAKES_MATRICES)
-        )
-        if bad:
+def carried_out(c: Asked, rule: Rule) -> Made:
+    """Return the block of a rule, or of the line of MATLAB for its matrices, or of the vectors that its buses are.
+
+    Raises NotTranslated if the block does not take one of the signals.
+    """
+    kind = c.block.kind
+    for one in c.inputs if kind in RULES else ():
+        small = one.kind in STORED and kind not in TAKES_SMALL
+        if small or (one.shape is not None and kind not in TAKES_MATRICES):
             raise NotTranslated(f"an input that is {one} is not translated")
+    if kind in RULES and kind not in TAKES_BUSES and any(isinstance(one.kind, Bus) for one in c.inputs):
+        return _of_vectors(c, rule)
+    return matrix(c, MATRIX_LINES[kind]) if makes_matrix(c) else rule(c)
+
+
+def _of_vectors(c: Asked, rule: Rule) -> Made:
+    """Return the block of a rule that takes no buses: one whose elements are of one type is the vector of them."""
+    d, inputs, sources = Diagram("of_buses"), list[Signal](), list[str]()
+    for k, one in enumerate(c.inputs, start=1):
+        sources.append(d.input(f"u{k}", one.kind, one.width))
+        inputs.append(one)
+        if isinstance(one.kind, Bus):
+            if len({leaf.kind for leaf in one.kind.leaves}) > 1 or one.width is not None:
+                raise NotTranslated(f"an input that is {one} is not translated")
+            leaves = [signal_of(leaf) for leaf in one.kind.leaves]
+            joined = _mux(replace(c, inputs=leaves))
+            assert isinstance(joined.item, Item)
+            fields = d.add(f"fields{k}", BusSelect(one.kind, [leaf.name for leaf in one.kind.leaves]), bus=sources[-1])
+            named = [f"{fields}.{leaf.name.replace('.', '_')}" for leaf in one.kind.leaves]
+            sources[-1] = d.add(f"vector{k}", joined.item, inputs=dict(zip(names_of(joined.item), named, strict=True)))
+            inputs[-1] = joined.outputs[0]
+    made = rule(replace(c, inputs=list(inputs)))
+    if made.item is None:
+        return made
+    c.notes.append("a bus is taken for the vector of its elements")
+    d.add("of", made.item, inputs=dict(zip(names_of(made.item), sources, strict=True)))
+    for k, name in enumerate(names_of(made.item, outputs=True), start=1):
+        d.output(f"y{k}", f"of.{name}")
+    return Made(d, made.outputs, expand=False)
 
 
 INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum", "Product"), 2)}
 
 
-INPUTS |= {"MultiPortSwitch": 4, "ManualSwitch": 2, "Merge": 2}
+INPUTS |= {"MultiPortSwitch": 4, "Merge": 2, "PID Controller (2DOF)": 2}
 INPUTS |= dict.fromkeys(
-    ("Clock", "Constant", "DigitalClock", "DiscretePulseGenerator", "Ground", "RandomNumber", "SignalGenerator", "Sin",
-     "Step", "UniformRandomNumber", "DataStoreMemory", "DataStoreRead"), 0,
+    ("Band-Limited White Noise", "Clock", "Constant", "Counter Free-Running", "Counter Limited", "DigitalClock",
+     "DiscretePulseGenerator", "Function-Call Generator", "Ground", "Ramp", "RandomNumber", "Repeating Sequence",
+     "Repeating Sequence Stair", "SignalGenerator", "Sin", "Step", "UniformRandomNumber", "DataStoreMemory", "DataStoreRead"), 0,
 )  # fmt: skip
 """Inputs of a block of which the file does not say how many; of any other type one."""

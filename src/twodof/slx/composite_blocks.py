@@ -14,11 +14,10 @@ from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import floor, sin, trunc
 from twodof.blocks.elementwise import elementwise, search
-from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.conversions import to_stored
-from twodof.blocks.expressions.expr import int32, to_int32, to_real, to_uint32, where
+from twodof.blocks.expressions.expr import convert, int32, to_int32, to_real, to_uint32, where
+from twodof.blocks.expressions.numbers import STORED
 from twodof.blocks.library import (
-    DiscreteStateSpace,
     Gain,
     MultiportSwitch,
     Noise,
@@ -30,7 +29,18 @@ from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import evaluate, names_in
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.values import as_array
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, each, expanded, passes, straight
+from twodof.slx.translation import (
+    Asked,
+    Made,
+    NotTranslated,
+    Rule,
+    Signal,
+    each,
+    expanded,
+    passes,
+    row,
+    widest,
+)
 
 Next = Callable[..., Any]
 """Next value of a state, of the time, the inputs and the states."""
@@ -84,12 +94,14 @@ def _within(low: Any, high: Any, value: Any, below: Any, above: Any) -> Any:
     return where(value > high, above, where(value < low, below, value))
 
 
-def _detect(compare: Callable[[Any, Any], Any]) -> Rule:
+def _detect(of: Callable[[Any, Any], Any]) -> Rule:
     """Compare the input with that of the sample before."""
 
     def rule(c: Asked) -> Made:
-        c.kind("real")
-        return formula(c, lambda t, u, x: compare(u, x), "bool", x=(c.scalar("vinit", "0"), lambda t, u, x: u))
+        number = {"real": float, "bool": bool}.get(kind := c.kind("real", "bool", "int32", *STORED), int)
+        held = "int32" if number is int else kind
+        now: Next = lambda t, u, x: convert(u, held)  # noqa: E731
+        return formula(c, lambda t, u, x: of(now(t, u, x), x), "bool", x=(number(c.scalar("vinit", "0")), now))
 
     return rule
 
@@ -131,13 +143,8 @@ def _rate_limiter_dynamic(c: Asked) -> Made:
     return formula(c, limited, x=(0.0, limited))
 
 
-def _friction(c: Asked) -> Made:
-    offset, gain = c.scalar("offset", "[1 3 2 0]"), c.scalar("gain", "1")
-
-    def of(t: Any, u: Any) -> Any:
-        return where(u > 0.0, 1.0, where(u < 0.0, -1.0, 0.0)) * (gain * abs(u) + offset)
-
-    return formula(c, of)
+def _friction(c: Asked, offset: float, gain: float) -> Made:
+    return formula(c, lambda t, u: where(u > 0.0, 1.0, where(u < 0.0, -1.0, 0.0)) * (gain * abs(u) + offset))
 
 
 def _quantizer(c: Asked) -> Made:
@@ -194,56 +201,11 @@ def _wrap(c: Asked) -> Made:
     return formula(c, lambda t, u: where(u > most, 0.0, u))
 
 
-def _flip_flop(c: Asked) -> Made:
-    """Return Q and not Q of a set and a reset, whose table gives 0 for both where both are true."""
-    if any(one.kind != "bool" or one.width is not None for one in c.inputs):
-        raise NotTranslated("its inputs are not single booleans")
-
-    def held(t: Any, s: Any, r: Any, x: Any) -> Any:
-        return ~r & (s | x)
-
-    state = {"x": (bool(c.scalar("initial_condition", "0")), held)}
-    d, bools = Diagram("flip_flop"), [Signal("bool")] * 2
-    sources = {"u1": d.input("s", "bool"), "u2": d.input("r", "bool")}
-    d.add("Q", Formula(held, bools, bools[0], state), inputs=sources)
-    d.add("notQ", Formula(lambda t, s, r, x: ~s & (r | ~x), bools, bools[0], state), inputs=sources)
-    for name in ("Q", "notQ"):
-        d.output(name, f"{name}.y")
-    return Made(d, bools)
-
-
 def _enabled_delay(c: Asked) -> Made:
     start = c.scalar("vinit", "0.0")
     if c.inputs[1].kind != "bool":
         raise NotTranslated("its enable is not boolean")
     return formula(c, lambda t, u, on, x: x, x=(start, lambda t, u, on, x: where(on, u, x)))
-
-
-class TappedDelay(Block):
-    """y is the last inputs of a signal: `samples` of them, the oldest first, or the newest; with the present one."""
-
-    def __init__(self, samples: int, initial: float, newest_first: bool, present: bool) -> None:
-        self.samples, self.newest_first, self.present = samples, newest_first, present
-        self.inputs = [Port("u")]
-        self.outputs = [Port("y", width=samples + present)]
-        self.states = [State("x", initial, width=samples)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """Return the inputs in their order."""
-        taps = [*(x.x[k] for k in range(self.samples)), *([u.u] if self.present else [])]
-        return vector(taps[::-1] if self.newest_first else taps)
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """Drop the oldest one."""
-        return vector([*(x.x[k] for k in range(1, self.samples)), u.u])
-
-
-def _tapped(c: Asked) -> Made:
-    if c.width is not None:
-        raise NotTranslated("a delay of a vector is not translated")
-    samples, present = int(c.scalar("NumDelays", "4")), c.text("includeCurrent", "off") == "on"
-    item = TappedDelay(samples, c.scalar("vinit", "0.0"), c.text("DelayOrder", "Oldest") == "Newest", present)
-    return Made(item, [Signal("real", samples + present)], expand=False)
 
 
 # --- sources
@@ -266,27 +228,17 @@ def _pulse(c: Asked) -> Made:
 
 
 def _sine(c: Asked) -> Made:
-    values = [c.value(name, default).flatten() for name, default in _SINE]
-    width = max(one.size for one in values)
-    if any(one.size not in (1, width) for one in values):
-        raise NotTranslated("its parameters differ in size")
-    rows = [[float(one[min(k, one.size - 1)]) for one in values] for k in range(width)]
-    timed = c.needs("SineType", "Time based", "Time based", "Sample based") == "Time based"
-    c.needs("TimeSource", "Use simulation time", "Use simulation time")
-    if not timed:
-        samples, offset = c.scalar("Samples", "10"), c.scalar("Offset", "0")
-        turns = 2.0 * math.pi / samples
-        rows = [[row[0], row[1], turns / c.dt, turns * offset] for row in rows]
+    amplitude, bias, frequency, phase = (c.scalar(*one) for one in _SINE)
+    if c.needs("SineType", "Time based", "Time based", "Sample based") == "Sample based":
+        turns = 2.0 * math.pi / c.scalar("Samples", "10")
+        frequency, phase = turns / c.dt, turns * c.scalar("Offset", "0")
+    outside = c.needs("TimeSource", _TIMES[0], *_TIMES) == _TIMES[1]
+    c.inputs = c.inputs[:outside]
     c.notes.append("sin is the language's own: within 2.5 units in the last place of the C library's")
-
-    def of(t: Any) -> Any:
-        found = [sin(frequency * t + phase) * amplitude + bias for amplitude, bias, frequency, phase in rows]
-        return found[0] if width == 1 else vector(found)
-
-    output = Signal("real", None if width == 1 else width)
-    return Made(Formula(of, [], output), [output])
+    return formula(c, lambda t, *u: sin(frequency * (u[0] if outside else t) + phase) * amplitude + bias)
 
 
+_TIMES = ("Use simulation time", "Use external signal")
 _SINE = (("Amplitude", "1"), ("Bias", "0"), ("Frequency", "1"), ("Phase", "0"))
 
 
@@ -337,42 +289,28 @@ def _counter(c: Asked) -> Made:
     return formula(c, lambda t, k: to_uint32(k) if kind == "uint32" else to_stored(k, kind, "wrap"), kind, k=after)
 
 
-def _white_noise(c: Asked) -> Made:
-    c.notes.append("other random numbers of the same distribution")
-    deviation = math.sqrt(c.scalar("Cov", "[0.1]") / c.scalar("Ts", "0.1"))
-    return Made(Noise(deviation, 0.0, *_seed(c, "seed", "[23341]")), [Signal()])
+def _noise(block: Callable[..., Block], seed: tuple[str, str], *given: tuple[str, str], of: Any = lambda *v: v) -> Rule:
+    """Return the rule of a source of random numbers: a block of the numbers `of` parameters, and of a seed."""
 
+    def rule(c: Asked) -> Made:
+        c.notes.append("other random numbers of the same distribution")
+        stream = zlib.crc32(f"{c.path}/{c.block.name}".encode())  # one of its own for each block
+        if (variance := c.scalar(*given[0])) < 0.0 and "Variance" in given[0]:
+            raise NotTranslated(f"Variance = {variance:g} is negative")
+        return Made(block(*of(*(c.scalar(*one) for one in given)), int(c.scalar(*seed)) % 2**32, stream), [Signal()])
 
-def _uniform(c: Asked) -> Made:
-    c.notes.append("other random numbers of the same distribution")
-    low, high = c.scalar("Minimum", "-1"), c.scalar("Maximum", "1")
-    return Made(UniformNoise(low, high, *_seed(c, "Seed", "0")), [Signal()])
-
-
-def _seed(c: Asked, name: str, default: str) -> tuple[int, int]:
-    return int(c.scalar(name, default)) % 2**32, zlib.crc32(f"{c.path}/{c.block.name}".encode())
+    return each(rule, seed[0], *(name for name, _ in given))
 
 
 # --- choices, tables and expressions
 
 
-def _manual_switch(c: Asked) -> Made:
-    chosen = 0 if c.text("sw", c.text("CurrentSetting", "1")) == "1" else 1
-    d = Diagram("switch")
-    for k, one in enumerate(c.inputs):
-        d.input(f"u{k + 1}", one.kind, one.width)
-    one = c.inputs[chosen]
-    d.add("chosen", straight(one), u=f"u{chosen + 1}")
-    d.output("y", "chosen")
-    return Made(d, [one], expand=False)
-
-
 def _multiport(c: Asked) -> Made:
     """Return a choice by number; a number without an input takes the last input, or the default one."""
     control, data = c.inputs[0], c.inputs[1:]
-    if len(data) < 2 or control.width is not None or control.kind == "bool" or len({one.kind for one in data}) > 1:
-        raise NotTranslated("it has one data input, inputs of several types, or a control that is no number")
-    c.inputs, kind = data, data[0].kind
+    if len(data) < 2 or control.width is not None or control.kind == "bool":
+        raise NotTranslated("it has one data input, or a control that is no number")
+    c.inputs, kind = data, widest(data)
     order = c.needs("DataPortOrder", "One-based contiguous", *_ORDERS)
     extra = c.text("DataPortForDefault", "Last data port") == "Additional data port"
     named = len(data) - extra
@@ -396,8 +334,8 @@ def _multiport(c: Asked) -> Made:
     d.add("place", Formula(of, [control], Signal("int32")), u1="u1")
     d.add("y", switch, index="place.y")
     for k, (one, name) in enumerate(zip(data, switch.names, strict=True), start=2):
-        d.input(f"u{k}", kind, one.width)
-        d.connect(expanded(d, f"u{k}", one, c.width), f"y.{name}")
+        d.input(f"u{k}", one.kind, one.width)
+        d.connect(expanded(d, f"u{k}", one, c.width, kind), f"y.{name}")
     d.output("y", "y")
     return Made(d, [Signal(kind, c.width)], expand=False)
 
@@ -534,21 +472,14 @@ def _one_input(of: Callable[..., Any]) -> Rule:
     return lambda c: formula(c, lambda t, *u: of(*u)) if c.kind("real") else passes(c)
 
 
-def _discrete_state_space(c: Asked) -> Made:
-    a, b, cc, d = (c.value(name, default) for name, default in zip("ABCD", "1111", strict=True))
-    start = c.value("InitialCondition" if "InitialCondition" in c.values else "X0", "0").flatten().tolist()
-    c.kind("real")
-    if b.shape[1] != (c.width or 1) or d.shape != (cc.shape[0], b.shape[1]):
-        raise NotTranslated(f"B has {b.shape[1]} columns, D {d.shape}, and the input {c.width or 1} elements")
-    initial = start if len(start) > 1 else start[0]
-    item = DiscreteStateSpace(a.tolist(), b.tolist(), cc.tolist(), d.tolist(), initial)
-    return Made(item, [Signal("real", None if cc.shape[0] == 1 else cc.shape[0])])
-
-
 COMPOSITE_RULES: dict[str, Rule] = {
     "Backlash": each(_backlash, "BacklashWidth", "InitialOutput"),
-    "Band-Limited White Noise": _white_noise,
-    "Coulomb & Viscous Friction": _friction,
+    "Band-Limited White Noise": _noise(
+        Noise, ("seed", "[23341]"), ("Cov", "[0.1]"), ("Ts", "0.1"), of=lambda cov, ts: (math.sqrt(cov / ts), 0.0)
+    ),
+    "Coulomb & Viscous Friction": each(
+        lambda c: _friction(c, c.scalar("offset", "[1 3 2 0]"), c.scalar("gain", "1")), "offset", "gain"
+    ),
     "Counter Free-Running": _counter,
     "Counter Limited": _counter,
     "Dead Zone Dynamic": _one_input(lambda up, u, low: where(u > up, u - up, where(u < low, u - low, 0.0))),
@@ -563,7 +494,6 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Detect Rise Positive": _becomes(lambda u: u > 0.0),
     "Difference": lambda c: formula(c, lambda t, u, x: u - x, x=(c.scalar("ICPrevInput", "0.0"), lambda t, u, x: u)),
     "DiscretePulseGenerator": each(_pulse, "Amplitude", "Period", "PulseWidth", "PhaseDelay"),
-    "DiscreteStateSpace": _discrete_state_space,
     "Fcn": _expression,
     "InitialCondition": _first,
     "Interval Test": _interval,
@@ -571,14 +501,13 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Lookup2D": _older_lookup,
     "Lookup_n-D": _lookup,
     "MATLABFcn": _expression,
-    "ManualSwitch": _manual_switch,
     "MultiPortSwitch": _multiport,
     "Polyval": lambda c: Made(Polynomial(c.value("coefs", "[1 2 3]").flatten().tolist()), [Signal()]),
     "Quantizer": each(_quantizer, "QuantizationInterval"),
     "Radians to Degrees": lambda c: Made(Gain(180.0 / math.pi, c.width), [Signal("real", c.width)]),
-    "Ramp": lambda c: Made(
-        Ramp(c.scalar("start", "0"), c.scalar("slope", "1"), c.scalar("InitialOutput", c.text("X0", "0"))), [Signal()]
-    ),
+    "Ramp": lambda c: row(
+        Ramp, ("start", "0"), ("slope", "1"), ("InitialOutput" if "InitialOutput" in c.values else "X0", "0")
+    )(c),
     "Rate Limiter Dynamic": _rate_limiter_dynamic,
     "RateLimiter": each(_rate_limiter, "RisingSlewLimit", "FallingSlewLimit", "InitialCondition"),
     "Repeating Sequence": _sequence,
@@ -586,14 +515,15 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Saturation Dynamic": _one_input(lambda up, u, low: where(u > up, up, where(u < low, low, u))),
     "SignalConversion": passes,
     "SignalGenerator": _generator,
-    "S-R Flip-Flop": _flip_flop,
     "Sin": each(_sine, "Amplitude", "Bias", "Frequency", "Phase"),
     "Slider Gain": lambda c: Made(Gain(c.scalar("gain", "1"), c.width), [Signal("real", c.width)]),
-    "Tapped Delay": _tapped,
     "Transfer Fcn First Order": _pole,
     "Transfer Fcn Lead or Lag": _pole,
     "Transfer Fcn Real Zero": _pole,
-    "UniformRandomNumber": each(_uniform, "Minimum", "Maximum", "Seed"),
+    "RandomNumber": _noise(
+        Noise, ("Seed", "0"), ("Variance", "1"), ("Mean", "0"), of=lambda variance, mean: (math.sqrt(variance), mean)
+    ),
+    "UniformRandomNumber": _noise(UniformNoise, ("Seed", "0"), ("Minimum", "-1"), ("Maximum", "1")),
     "Unit Delay Enabled": _enabled_delay,
     "Wrap To Zero": _wrap,
 }

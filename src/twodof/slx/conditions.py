@@ -15,7 +15,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Port, State
 from twodof.blocks.expressions.expr import int32, to_real, where
-from twodof.blocks.library import CaseChoice, Constant, Convert, FirstTrue, Merge, ZeroOrderHold
+from twodof.blocks.library import CaseChoice, Constant, Convert, FirstTrue, Merge
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import evaluate, names_in
 from twodof.slx.matlab.function_block import MatlabFunction
@@ -48,7 +48,7 @@ def conditions_of(system: System) -> list[Activation]:
             raise NotTranslated(f"a subsystem with a {block.type} is not translated")
         if block.type not in CONTROL_PORTS or block.commented:
             continue
-        if block.values.get("ShowOutputPort", "off") == "on":
+        if block.values.get("ShowOutputPort", "off") == "on" and block.type != "EnablePort":
             raise NotTranslated(f"ShowOutputPort of its {block.type} is not translated")
         edge = {"TriggerPort": block.values.get("TriggerType", "rising")}.get(block.type, "")
         if block.type == "ResetPort":
@@ -170,19 +170,8 @@ def _called(c: Asked) -> Made:
     return Made(Constant(np.True_.item(), "bool"), [Signal("bool")])
 
 
-def _split(c: Asked) -> Made:
-    d = Diagram("calls")
-    d.input("u", "bool")
-    d.add("call", ZeroOrderHold("bool"), u="u")
-    count = c.block.ports[1] if c.block.ports else 2
-    for k in range(count):
-        d.output(f"y{k + 1}", "call")
-    return Made(d, [Signal("bool")] * count)
-
-
 CONDITION_RULES: dict[str, Rule] = {
     "Function-Call Generator": _called,
-    "FunctionCallSplit": _split,
     "If": _if,
     "Merge": _merge,
     "SwitchCase": _switch_case,

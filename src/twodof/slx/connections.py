@@ -1,6 +1,6 @@
 """The sheets, blocks and signals of a model, and the output that drives an input, wherever that stands."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from twodof.blocks.diagram import BASE, Rate
@@ -14,7 +14,12 @@ from twodof.slx.translation import Made, NotTranslated, Signal
 
 Output = tuple[str, str, int]
 """An output of a block: path of its system, identifier and number."""
-PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED)
+ROUTED: Mapping[str, Callable[[Mapping[str, str]], int]] = {
+    "FunctionCallSplit": lambda values: 1,
+    "ManualSwitch": lambda values: 1 if values.get("sw", values.get("CurrentSetting", "1")) == "1" else 2,
+}
+"""Types whose output is one of their inputs, with its number."""
+PASSING = ("Inport", "Outport", "InportShadow", "Goto", "From", "GotoTagVisibility", *CONTROL_PORTS, *ITERATED, *ROUTED)
 """Types that only pass signals on, or say when a system acts."""
 _TRANSLATED = {*RULES, *CODED}
 STORES = ("DataStoreMemory", "DataStoreRead", "DataStoreWrite")
@@ -75,6 +80,8 @@ class Connections:
                 if block.values["Commented"] != "through":
                     return None
                 pin = Pin(source.sid, "in", source.number)
+            elif block.type in ROUTED:
+                pin = Pin(source.sid, "in", ROUTED[block.type]({**block.values, **block.instance}))
             elif block.type == "From":
                 path, goto = self._goto(path, block.values.get("GotoTag", "A"))
                 sheet, pin = self.sheets[path], Pin(goto, "in", 1)
@@ -120,6 +127,8 @@ class Connections:
                 source = None if port is None else self._source(inner, Pin(port, "in", 1))
             elif block.type in ("Inport", "InportShadow") and sheet.owner is not None:
                 source = self._source(sheet.owner[0], Pin(sheet.owner[1], "in", port_number(block)))
+            elif block.type == "EnablePort" and sheet.owner is not None:  # it shows what enables its subsystem
+                source = self._source(sheet.owner[0], Pin(sheet.owner[1], "enable", 1))
             else:
                 return source
         raise NotTranslated("subsystems lead in a circle")

@@ -5,8 +5,10 @@ form II.
 """
 
 import math
-import zlib
+import operator
 from collections.abc import Callable
+from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -14,16 +16,19 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.blocks.action_group import resettable_integrator
 from twodof.blocks.bus import Bus
-from twodof.blocks.elementary.functions import floor, trunc
-from twodof.blocks.expressions.expr import to_int32, where
+from twodof.blocks.elementary.functions import floor
+from twodof.blocks.elementwise import port_series
+from twodof.blocks.expressions.expr import where
 from twodof.blocks.expressions.numbers import WORDS
 from twodof.blocks.library import (
     Constant,
+    Convert,
     Delay,
+    Demux,
     DiscreteIntegrator,
+    DiscreteStateSpace,
     Gain,
     Integrator,
-    Noise,
     Product,
     Relay,
     Saturation,
@@ -36,10 +41,23 @@ from twodof.blocks.library import (
     VariableDelay,
     ZeroOrderHold,
 )
-from twodof.slx.composite_blocks import Formula
+from twodof.slx.composite_blocks import Formula, formula
 from twodof.slx.conditions import ControlEdge
 from twodof.slx.data_types import value_of
-from twodof.slx.translation import Asked, Item, Made, NotTranslated, Rule, Signal, each, expanded, passes, plain, same
+from twodof.slx.translation import (
+    Asked,
+    Item,
+    Made,
+    NotTranslated,
+    Rule,
+    Signal,
+    each,
+    expanded,
+    names_of,
+    passes,
+    plain,
+    row,
+)
 
 
 def _initial(c: Asked, *names: str) -> tuple[Any, Signal]:
@@ -56,6 +74,11 @@ def _initial(c: Asked, *names: str) -> tuple[Any, Signal]:
     return initial, Signal(known.kind, width)
 
 
+def _library_delay(c: Asked) -> Made:
+    values = {"DelayLength": c.text("NumDelays", "4"), "InitialCondition": c.text("vinit", "0.0")}
+    return _delay(replace(c, values=values))
+
+
 def _unit_delay(c: Asked) -> Made:
     initial, signal = _initial(c, "InitialCondition", "X0")
     return Made(UnitDelay(initial, signal.kind, signal.width), [signal])
@@ -70,14 +93,8 @@ def _delay(c: Asked) -> Made:
     initial, signal = _initial(c, "InitialCondition")
     if ported:
         most, length, d = int(c.scalar("DelayLengthUpperLimit", "100")), c.inputs[1], Diagram("delay")
-        real = length.kind == "real"
-        count = Formula(
-            lambda t, n: to_int32(where(n > (float(most) if real else most), most, trunc(n) if real else n)),
-            [length],
-            Signal("int32"),
-        )
         d.input("u", signal.kind, signal.width)
-        d.add("length", count, u1=d.input("samples", length.kind))
+        d.add("length", Convert(length.number, "int32"), u=d.input("samples", length.kind))
         delay = VariableDelay(most, initial, True, signal.kind, signal.width)
         d.output("y", d.add("y", delay, u="u", samples="length"))
         return Made(d, [signal], expand=False)
@@ -91,8 +108,7 @@ def _delay(c: Asked) -> Made:
 
 def _discrete_integrator(c: Asked) -> Made:
     method = c.text("IntegratorMethod", "Integration: Forward Euler").partition(": ")
-    rules = {"Forward Euler": "forward", "Backward Euler": "backward", "Trapezoidal": "trapezoidal"}
-    if method[0] not in ("Integration", "Accumulation") or method[2] not in rules:
+    if method[0] not in ("Integration", "Accumulation") or method[2] not in _METHODS:
         raise NotTranslated(f"IntegratorMethod = {''.join(method)!r} is not translated")
     if method[2] != "Forward Euler" and c.text("InitialConditionSetting", "Auto") == "Output":
         raise NotTranslated("InitialConditionSetting = 'Output' is not translated")
@@ -107,7 +123,7 @@ def _discrete_integrator(c: Asked) -> Made:
         gain, scale = undoing[0], gain
 
     def integrator(initial: Any, limits: Any, reset: bool, width: int | None) -> Item:
-        return DiscreteIntegrator(rules[method[2]], gain, initial, limits, reset, width)
+        return DiscreteIntegrator(_METHODS[method[2]], gain, initial, limits, reset, width)
 
     return _integral(c, integrator, scale)
 
@@ -185,156 +201,190 @@ def _clears(d: Diagram, control: Signal, edge: str) -> str:
 def _discrete_derivative(c: Asked) -> Made:
     """Keep the scaled input: y = K u / T less the last one of it."""
     c.kind("real")
-    d = Diagram("derivative")
-    d.input("u", width=c.width)
-    d.add("scaled", Gain(c.scalar("gainval", "1.0") / c.dt, c.width), u="u")
-    d.add("UD", UnitDelay(c.scalar("ICPrevScaledInput", "0.0"), "real", c.width), u="scaled")
-    d.add("difference", Sum("+-", "real", c.width), a="scaled", b="UD")
-    d.output("y", "difference")
-    return same(c, d)
+    gain = c.scalar("gainval", "1.0") / c.dt
+    last = (c.scalar("ICPrevScaledInput", "0.0"), lambda t, u, x: gain * u)
+    return formula(c, lambda t, u, x: gain * u - x, x=last)
 
 
 def _pid(c: Asked) -> Made:
-    """Compute y = (P u + integral) + N (D u - filter state), or P times that in ideal form; in MathWorks' order."""
-    if c.inputs[0].kind != "real":
+    """Compute y = (P u + integral) + N (D u - filter state), or P times that in ideal form; in MathWorks' order.
+
+    With two degrees of freedom u is b r - y for P, r - y for I, and c r - y for D.
+    """
+    if {one.kind for one in c.inputs[:1]} != {"real"}:
         raise NotTranslated(f"an input that is {c.inputs[0]} is not translated")
-    kind = c.pick("Controller", "PID", {name: name for name in ("PID", "PI", "PD", "P", "I")})
+    kind = c.needs("Controller", "PID", "PID", "PI", "PD", "P", "I")
     continuous = c.needs("TimeDomain", "Continuous-time", "Continuous-time", "Discrete-time") == "Continuous-time"
     ideal = c.needs("Form", "Parallel", "Parallel", "Ideal") == "Ideal"
-    edge = _edge(c)
-    c.needs("InitialConditionSource", "internal", "internal")
-    c.needs("TrackingMode", "off", "off")
-    c.needs("ControllerParametersSource", "internal", "internal")
-    if c.text("LimitOutput", "off") == "on":
-        c.needs("AntiWindupMode", "none", "none", "back-calculation")
-    windup = c.text("LimitOutput", "off") == "on" and c.text("AntiWindupMode", "none") == "back-calculation"
-    d = Diagram("pid")
-    d.input("u")
-    error, terms = "u", list[str]()
-    if ideal:
-        if kind == "I":
-            raise NotTranslated("an integral controller in ideal form is not translated")
-        terms.append("u")
-    elif "P" in kind:
-        d.add("P", Gain(c.scalar("P", "1")), u="u")
-        terms.append("P")
+    filtered = c.needs("UseFilter", "on", "on", "off") == "on"
+    edge, limited = _edge(c), c.text("LimitOutput", "off") == "on"
+    for name, only in _PID_ONLY.items():
+        c.needs(name, only, only)
+    windup = c.needs("AntiWindupMode", "none", "none", "back-calculation", "clamping") if limited else "none"
+    external = c.needs("ControllerParametersSource", "internal", "internal", "external") == "external"
+    d, both = Diagram("pid"), "2DOF" in c.block.kind
+    for name in ("r", "u") if both else ("u",):
+        d.input(name)
+    for name in (*kind, *("N" * ("D" in kind and filtered))) if external else ():
+        d.input(name)
+    weights = {"P": c.scalar("b", "1"), "D": c.scalar("c", "1")} if both else {}
+
+    def error(term: str) -> str:
+        if not both:
+            return "u"
+        reference = "r" if term == "I" else d.add(f"weighted_{term}", Gain(weights[term]), u="r")
+        return d.add(f"error_{term}", Sum("+-"), a=reference, b="u")
+
+    def times(name: str, source: str, default: str) -> str:
+        if not external:
+            return d.add(name, Gain(c.scalar(name, default)), u=source)
+        return d.add(f"{name}_times", Product("**"), a=name, b=source)
+
+    terms = list[str]()
+    if ideal or "P" in kind:
+        terms.append(error("P") if ideal else times("P", error("P"), "1"))
     if "I" in kind:
-        start = c.scalar("InitialConditionForIntegrator", "0")
-        method = c.text("IntegratorMethod", "Forward Euler")
-        rules = {"Forward Euler": "forward", "Backward Euler": "backward", "Trapezoidal": "trapezoidal"}
-        if method not in rules:
-            raise NotTranslated(f"IntegratorMethod = {method!r} is not translated")
-        d.add("I", Gain(c.scalar("I", "1")), u=error)
-        d.add("integral", Integrator(start) if continuous else DiscreteIntegrator(rules[method], 1.0, start))
-        terms.append("integral")
+        rate, start = times("I", error("I"), "1"), c.scalar("InitialConditionForIntegrator", "0")
+        method = c.pick("IntegratorMethod", "Forward Euler", dict(_METHODS)) if not continuous else ""
+        terms.append(d.add("integral", Integrator(start) if continuous else DiscreteIntegrator(method, 1.0, start)))
     if "D" in kind:
-        c.needs("UseFilter", "on", "on")
-        if not continuous:
-            c.needs("FilterMethod", "Forward Euler", "Forward Euler")
-        start = c.scalar("InitialConditionForFilter", "0")
-        d.add("D", Gain(c.scalar("D", "0")), u="u")
-        d.add("filter", Integrator(start) if continuous else DiscreteIntegrator("forward", 1.0, start))
-        d.add("slope", Sum("+-"), a="D", b="filter")
-        d.add("N", Gain(c.scalar("N", "100")), u="slope")
-        d.connect("N", "filter.u")
-        terms.append("N")
-    y = terms[0]
-    if len(terms) > 1:
-        d.add("sum", Sum("+" * len(terms)), inputs=dict(zip("abc", terms, strict=False)))
-        y = "sum"
-    if ideal:
-        d.add("P", Gain(c.scalar("P", "1")), u=y)
-        y = "P"
-    if c.text("LimitOutput", "off") == "on":
+        slope, start = times("D", error("D"), "0"), c.scalar("InitialConditionForFilter", "0")
+        if not filtered and continuous:
+            raise NotTranslated("UseFilter = 'off' in continuous time is not translated")
+        if not filtered:
+            now = (0.0, lambda t, u, x: u)
+            terms.append(
+                d.add("N", Formula(lambda t, u, x: (u - x) / c.dt, [Signal()], Signal(), {"x": now}), u1=slope)
+            )
+        elif continuous or c.text("FilterMethod", "Forward Euler") == "Forward Euler":
+            d.add("filter", Integrator(start) if continuous else DiscreteIntegrator("forward", 1.0, start))
+            terms.append(times("N", d.add("slope", Sum("+-"), a=slope, b="filter"), "100"))
+            d.connect(terms[-1], "filter.u")
+        else:  # solved for the output, on which the state depends at once
+            share = c.pick("FilterMethod", "", {"Backward Euler": c.dt, "Trapezoidal": c.dt / 2.0})
+            c.notes.append("the filter is solved for its output: some units in the last place from MathWorks' C")
+            of: Callable[..., Any] = lambda t, u, n, x: n * (u - x) / (1.0 + n * share)  # noqa: E731
+            x = (start, lambda t, u, n, x: x + of(t, u, n, x) * c.dt)
+            n = "N" if external else d.add("N", Constant(c.scalar("N", "100")))
+            terms.append(d.add("slope", Formula(of, [Signal()] * 2, Signal(), {"x": x}), u1=slope, u2=n))
+    y = (
+        terms[0]
+        if len(terms) == 1
+        else d.add("sum", Sum("+" * len(terms)), inputs=dict(zip("abc", terms, strict=False)))
+    )
+    y = times("P", y, "1") if ideal else y
+    if limited:
         low, high = c.scalar("LowerSaturationLimit", "-inf"), c.scalar("UpperSaturationLimit", "inf")
-        d.add("limited", Saturation(low, high), u=y)
-        if windup and "I" in kind:
-            d.add("excess", Sum("+-"), a="limited", b=y)
-            d.add("Kb", Gain(c.scalar("Kb", "1")), u="excess")
-            d.add("driven", Sum("++"), a="Kb", b="I")
-            d.connect("driven", "integral.u")
-        y = "limited"
-    if "I" in kind and not windup:
-        d.connect("I", "integral.u")
+        before, y = y, d.add("limited", Saturation(low, high), u=y)
+        if windup == "back-calculation" and "I" in kind:
+            d.add("excess", Sum("+-"), a=y, b=before)
+            rate = d.add("driven", Sum("++"), a=d.add("Kb", Gain(c.scalar("Kb", "1")), u="excess"), b=rate)
+        elif windup == "clamping" and "I" in kind:  # not while it is limited and would go further
+            hold = lambda t, u, y: where(((y > high) & (u > 0.0)) | ((y < low) & (u < 0.0)), 0.0, u)  # noqa: E731
+            rate = d.add("clamped", Formula(hold, [Signal()] * 2, Signal()), u1=rate, u2=before)
+    if "I" in kind:
+        d.connect(rate, "integral.u")
     d.output("y", y)
     return Made(d, [Signal()]) if not edge else _resettable(c, d, edge)
 
 
-def _rational(c: Asked) -> tuple[list[float], list[float]]:
+_METHODS = {"Forward Euler": "forward", "Backward Euler": "backward", "Trapezoidal": "trapezoidal"}
+_PID_ONLY = {"InitialConditionSource": "internal", "TrackingMode": "off", "LimitIntegratorOutput": "off",
+             "SatLimitsSource": "internal"}  # fmt: skip
+"""Choices of a PID that have one translation only."""
+
+
+def _polynomial(c: Asked, name: str, default: str) -> list[Any]:
+    value = c.value(name, default)
+    if 1 not in value.shape:
+        raise NotTranslated(f"{name} is a matrix")
+    return [float(v) for v in value.flatten()]
+
+
+def _transfer(c: Asked) -> Made:
     for name in ("NumeratorSource", "DenominatorSource", "InitialStatesSource"):
         c.needs(name, "Dialog", "Dialog")
-    default = "[1 0.5]" if c.block.type.startswith("Discrete") else "[1 2 1]"
-    top, bottom = c.value("Numerator", "[1]"), c.value("Denominator", default)
-    if 1 not in top.shape or 1 not in bottom.shape:
-        raise NotTranslated("Numerator is a matrix")
-    return [float(v) for v in top.flatten()], [float(v) for v in bottom.flatten()]
+    top, bottom = _polynomial(c, "Numerator", "[1]"), _polynomial(c, "Denominator", "[1 2 1]")
+    return Made(TransferFunction(top, bottom), [Signal()])
 
 
-def _discrete_transfer(c: Asked) -> Made:
-    """Direct form II as MathWorks' C computes it: x = (u - a1 x1 - ...) / a0, y = b0 x + b1 x1 + ..."""
-    top, bottom = _rational(c)
-    edge = _edge(c)
-    if c.block.type == "DiscreteTransferFcn":  # in powers of z: both begin at the highest
-        top = [0.0] * (len(bottom) - len(top)) + top
-    order = max(len(top), len(bottom)) - 1
-    initial = c.value("InitialStates", "0")
-    if len(top) > len(bottom) and c.block.type == "DiscreteTransferFcn":
-        raise NotTranslated("Numerator is longer than Denominator")
-    top, bottom = top + [0.0] * (order + 1 - len(top)), bottom + [0.0] * (order + 1 - len(bottom))
-    if order == 0:
-        return same(c, Gain(top[0] / bottom[0]))
-    states = [float(initial.flat[min(k, initial.size - 1)]) for k in range(order)]
-    d = Diagram("filter")
+def _filter(c: Asked) -> Made:
+    """Direct form II as MathWorks' C computes it: x = (u - a1 x1 - ...) / a0, y = b0 x + b1 x1 + ...
+
+    Transposed it is y = (b0 u + x1) / a0, and xk becomes (x(k+1) + bk u) - ak y. A coefficient is a number, or the
+    place of an input.
+    """
+    edge, form = _edge(c), c.text("FilterStructure", "Direct form II")
+    c.needs("InitialStatesSource", "Dialog", "Dialog")
+    d, ports, sources, rational = Diagram("filter"), c.inputs[1:], ["u"], list[list[float | int]]()
     d.input("u")
-    previous = "u"
-    for k in range(1, order + 1):
-        d.add(f"a{k}", Gain(bottom[k]), u=f"x{k}")
-        d.add(f"less{k}", Sum("+-"), a=previous, b=f"a{k}")
-        previous = f"less{k}"
-    if bottom[0] != 1.0:
-        d.add("a0", Constant(bottom[0]))
-        d.add("x0", Product("*/"), a=previous, b="a0")
-        previous = "x0"
-    for k in range(1, order + 1):
-        d.add(f"x{k}", UnitDelay(states[k - 1]), u=previous if k == 1 else f"x{k - 1}")
-    total = ""
-    for k in range(order + 1):
-        if top[k] == 0.0 and (k or total):
+    for name, default in (("Numerator", "[1]"), ("Denominator", "[1 0.5]")):
+        if c.text(f"{name}Source", "Dialog") == "Dialog":
+            rational.append(_polynomial(c, name, default))
             continue
-        if top[k] == 0.0:
-            continue
-        d.add(f"b{k}", Gain(top[k]), u=previous if k == 0 else f"x{k}")
-        if total:
-            d.add(f"sum{k}", Sum("++"), a=total, b=f"b{k}")
-        total = f"sum{k}" if total else f"b{k}"
-    if not total:
+        one, place = ports.pop(0), d.input(name, c.inputs[1].kind, c.inputs[1].width)
+        if one.width is not None:
+            place = d.add(f"{name}s", Demux(one.width, one.number), u=place)
+        names = [place] if one.width is None else [f"{place}.{at}" for at in port_series(one.width)]
+        rational.append(list(range(len(sources), len(sources) + len(names))))
+        sources += names
+    top, bottom = rational
+    if c.block.type == "DiscreteTransferFcn":  # in powers of z: both begin at the highest
+        top = [*([0.0] * (len(bottom) - len(top))), *top]
+        if len(top) > len(bottom):
+            raise NotTranslated("Numerator is longer than Denominator")
+    order = max(len(top), len(bottom)) - 1
+    top, bottom = ([*one, *[0.0] * (order + 1 - len(one))] for one in (top, bottom))
+    if not any(one != 0.0 for one in top):
         raise NotTranslated("Numerator is 0")
-    d.output("y", total)
-    return Made(d, [Signal()]) if not edge else _resettable(c, d, edge)
+    if form not in ("Direct form II", "Direct form II transposed"):
+        c.notes.append(f"FilterStructure = {form!r}: computed in direct form II, with other roundings")
+
+    def computed(*v: Any) -> tuple[Any, list[Any]]:
+        """Return the output and the next states."""
+        a, b = ([v[one] if isinstance(one, int) else one for one in many] for many in (bottom, top))
+        x = [*v[len(sources) :]]
+        if form == "Direct form II transposed":
+            y = b[0] * v[0] + x[0] if order and top[0] != 0.0 else x[0] if order else b[0] * v[0]
+            y = y if bottom[0] == 1.0 else y / a[0]
+            after = [*x[1:], None]
+            fed = [b[k + 1] * v[0] if one is None else one + b[k + 1] * v[0] for k, one in enumerate(after[:order])]
+            return y, [one - a[k + 1] * y for k, one in enumerate(fed)]
+        now = v[0]
+        for k in range(order):
+            now = now - a[k + 1] * x[k]
+        now = now if bottom[0] == 1.0 else now / a[0]
+        terms = [b[k] * one for k, one in enumerate([now, *x]) if top[k] != 0.0]
+        return reduce(operator.add, terms), [now, *x[:-1]]
+
+    initial = c.value("InitialStates", "0")
+    states = {
+        f"x{k + 1}": (float(initial.flat[min(k, initial.size - 1)]), lambda t, *v, k=k: computed(*v)[1][k])
+        for k in range(order)
+    }
+    block = Formula(lambda t, *v: computed(*v)[0], [Signal()] * len(sources), Signal(), states)
+    d.output("y", d.add("y", block, inputs={f"u{k}": one for k, one in enumerate(sources, start=1)}))
+    return Made(d, [Signal()], expand=False) if not edge else _resettable(c, d, edge)
+
+
+def _filters(c: Asked) -> Made:
+    ported = "Input port" in (c.text("NumeratorSource"), c.text("DenominatorSource"))
+    return _filter(c) if ported else each(_filter)(c)
 
 
 def _resettable(c: Asked, item: Item, edge: str) -> Made:
-    """Put a block whose states are initial at the edges of the second input."""
-    if len(c.inputs) != 2:
+    """Put a block whose states are initial at the edges of the last input."""
+    names = names_of(item)
+    if len(c.inputs) != len(names) + 1:
         raise NotTranslated("its reset is not one signal")
-    one = c.inputs[0]
     inner, d = Diagram("inside"), Diagram("resettable")
-    inner.input("u", one.kind, one.width)
-    inner.output("y", inner.add("block", item, inputs={"u": "u"}))
-    d.input("u", one.kind, one.width)
-    d.add("inside", inner, inputs={"u": "u"}, reset=f"{_clears(d, c.inputs[1], edge)}.y")
+    for name, one in zip(names, c.inputs, strict=False):
+        inner.input(name, one.kind, one.width)
+        d.input(name, one.kind, one.width)
+    inner.output("y", inner.add("block", item, inputs={name: name for name in names}))
+    d.add("inside", inner, inputs={name: name for name in names}, reset=f"{_clears(d, c.inputs[-1], edge)}.y")
     d.output("y", "inside")
-    return Made(d, [one], expand=False)
-
-
-def _noise(c: Asked) -> Made:
-    variance = c.scalar("Variance", "1")
-    if variance < 0.0:
-        raise NotTranslated("Variance is negative")
-    c.notes.append("other random numbers of the same distribution")
-    seed = int(c.scalar("Seed", "0")) % 2**32
-    stream = zlib.crc32(f"{c.path}/{c.block.name}".encode())  # one of its own for each block
-    return Made(Noise(math.sqrt(variance), c.scalar("Mean", "0"), seed, stream), [Signal()])
+    return Made(d, [c.inputs[0]], expand=False)
 
 
 def _transport_delay(c: Asked) -> Made:
@@ -344,10 +394,6 @@ def _transport_delay(c: Asked) -> Made:
     if samples == 0:
         return passes(c)
     return Made(Delay(samples, None, c.scalar("InitialOutput", "0")), [Signal()])
-
-
-def _transfer(c: Asked) -> Made:
-    return Made(TransferFunction(*_rational(c)), [Signal()])
 
 
 def _integrator(c: Asked) -> Made:
@@ -384,17 +430,14 @@ def _state_space(c: Asked) -> Made:
     c.kind("real")
     a, b, cc, d = (c.value(name, "1") for name in "ABCD")
     initial = c.value("InitialCondition" if "InitialCondition" in c.values else "X0", "0").flatten().tolist()
-    shape = (a.shape[0], b.shape[1], cc.shape[0])
-    if b.shape[1] != (c.width or 1):
-        raise NotTranslated(f"B has {b.shape[1]} columns and the input {c.width or 1} elements")
-    if d.size == 1 and shape[1:] != (1, 1):
-        d = np.full(shape[:0:-1], float(d.flat[0]))
-    block = StateSpace(a.tolist(), b.tolist(), cc.tolist(), d.tolist(), initial if len(initial) > 1 else initial[0])
-    return Made(block, [Signal("real", None if shape[2] == 1 else shape[2])])
-
-
-def _step(c: Asked) -> Made:
-    return Made(Step(c.scalar("Time", "1"), c.scalar("Before", "0"), c.scalar("After", "1")), [Signal()])
+    shape = (cc.shape[0], b.shape[1])
+    if d.size == 1 and shape != (1, 1):
+        d = np.full(shape, float(d.flat[0]))
+    if b.shape[1] != (c.width or 1) or d.shape != shape:
+        raise NotTranslated(f"B has {b.shape[1]} columns, D {d.shape}, and the input {c.width or 1} elements")
+    block = {"StateSpace": StateSpace, "DiscreteStateSpace": DiscreteStateSpace}[c.block.type]
+    item = block(*(one.tolist() for one in (a, b, cc, d)), initial if len(initial) > 1 else initial[0])
+    return Made(item, [Signal("real", None if shape[0] == 1 else shape[0])])
 
 
 def _clock(c: Asked) -> Made:
@@ -404,27 +447,24 @@ def _clock(c: Asked) -> Made:
     return Made(d, [Signal()])
 
 
-def _relay(c: Asked) -> Made:
-    on, off = c.scalar("OnSwitchValue", "eps"), c.scalar("OffSwitchValue", "eps")
-    return same(c, Relay(on, off, c.scalar("OnOutputValue", "1"), c.scalar("OffOutputValue", "0")))
-
-
 DYNAMIC_RULES: dict[str, Rule] = {
     "Clock": _clock,
     "Delay": _delay,
     "DigitalClock": _clock,
     "Discrete Derivative": _discrete_derivative,
-    "DiscreteFilter": each(_discrete_transfer),
+    "DiscreteFilter": _filters,
     "DiscreteIntegrator": _discrete_integrator,
-    "DiscreteTransferFcn": each(_discrete_transfer),
+    "DiscreteTransferFcn": _filters,
+    "Integer Delay": _library_delay,
     "Integrator": _integrator,
     "Memory": _unit_delay,
-    "PID Controller": each(_pid, "P", "I", "D", "N"),
-    "RandomNumber": each(_noise, "Mean", "Variance", "Seed"),
-    "Relay": each(_relay, "OnSwitchValue", "OffSwitchValue", "OnOutputValue", "OffOutputValue"),
+    **dict.fromkeys(("PID Controller", "PID Controller (2DOF)"), each(_pid, "P", "I", "D", "N")),
+    "Relay": row(
+        Relay, ("OnSwitchValue", "eps"), ("OffSwitchValue", "eps"), ("OnOutputValue", "1"), ("OffOutputValue", "0")
+    ),
     "SecondOrderIntegrator": _second_order,
-    "StateSpace": _state_space,
-    "Step": each(_step, "Time", "Before", "After"),
+    **dict.fromkeys(("DiscreteStateSpace", "StateSpace"), _state_space),
+    "Step": row(Step, ("Time", "1"), ("Before", "0"), ("After", "1")),
     "TransferFcn": each(_transfer),
     "TransportDelay": each(_transport_delay, "DelayTime", "InitialOutput"),
     "UnitDelay": _unit_delay,

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from twodof.blocks import Diagram
-from twodof.blocks.bus import Bus
+from twodof.blocks.bus import Bus, leaves_of
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.blocks import DROPPED, RULES, check_inputs
+from twodof.slx.blocks import DROPPED, RULES, carried_out
 from twodof.slx.bus_ports import with_bus_ports, with_ports
 from twodof.slx.chart import function_rule
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
@@ -33,7 +33,6 @@ from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
-from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
 from twodof.slx.model import (
     CODED,
     Model,
@@ -133,6 +132,8 @@ class _Import(Wiring):
                 self._try(key, partial(self._inport, key, block))
         self._rates()
         self._infer()
+        if any(leaf.kind == "float64" for one in self.signals.values() for leaf in leaves_of(one.port("signal"))):
+            self.notes.append("64-bit whole numbers are held as doubles: exact up to 2^53, without a wrap or a limit")
         imported = Imported(None, self.dt, self.report, self.notes)
         if not imported.refused:
             diagram = self._diagram(self.path)
@@ -383,6 +384,9 @@ class _Import(Wiring):
     def _inport(self, key: tuple[str, str], block: SimulinkBlock) -> None:
         names = self.sheets[key[0]].names
         said = collapsed(block.values.get("OutDataTypeStr", "Inherit: auto"))
+        if said.startswith("Inherit") and (wanted := type_declared(self.sheets, *key)):
+            self.approximated.setdefault(key, []).append(f"inherits its type: taken for {wanted}, declared behind it")
+            said = wanted
         kind = "real" if said.startswith("Inherit") else kind_of(said, names)
         size = evaluate(block.values.get("PortDimensions", "-1"), names, "PortDimensions")
         elements = [int(n) for n in as_array(number(size)).flatten()]
@@ -543,11 +547,9 @@ class _Import(Wiring):
 
         def translate() -> None:
             if rule is None:
-                raise NotTranslated(f"the block type {block.kind} is not translated")
+                raise NotTranslated(self._foreign(block))
             inputs = [self._type(path, pin) or Signal() for pin in self._inputs(key)]
             values = self._values(key)
-            if block.kind in RULES:
-                check_inputs(block.kind, inputs)
             labels = [self._label(path, pin) for pin in self._inputs(key)]
             if self._backwards(key) and (wanted := self._wanted(key)):
                 values["OutDataTypeStr"] = wanted
@@ -555,7 +557,7 @@ class _Import(Wiring):
             real = [replace(one, kind="real") if one.kind == "float32" else one for one in inputs]
             taken = inputs if block.type in ROUTES else real
             asked = Asked(block, path, values, self.sheets[path].names, [*taken], dt, labels, folders=self.folders)
-            made = matrix(asked, MATRIX_LINES[block.kind]) if makes_matrix(asked) else rule(asked)
+            made = carried_out(asked, rule)
             made = precise(asked, made, inputs) if SINGLE in self.names else made
             if block.type == "RateTransition":
                 made = self._transition(key, asked) or made
@@ -568,6 +570,15 @@ class _Import(Wiring):
             self.approximated.setdefault(key, []).extend(notes)
 
         self._try(key, translate)
+
+    def _foreign(self, block: SimulinkBlock) -> str:
+        """Return why a block has no rule: of a function in another language with the file that has its code."""
+        name = collapsed(block.values.get("FunctionName", block.values.get("System", "")))
+        if block.type not in ("S-Function", "M-S-Function", "MATLABSystem"):
+            return f"the block type {block.kind} is not translated"
+        if not any((one / f"{name}.{end}").is_file() for one in self.folders for end in ("m", "c", "cpp")):
+            return f"the code of the {block.type} {name} is not found: a compiled or protected one is not read"
+        return f"the {block.type} {name} is code of its own: draw it as blocks, or as a MATLAB Function"
 
     def _store(self, key: tuple[str, str]) -> Rule:
         """Return the rule of a block of a data store, whose memory stands on its sheet or on one around it."""

@@ -14,7 +14,7 @@ from twodof.blocks.expressions.numbers import KINDS
 from twodof.slx.data_types import signal_of
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.values import Value
-from twodof.slx.translation import Asked, Made, NotTranslated
+from twodof.slx.translation import Asked, Made, NotTranslated, signs
 
 _BETWEEN = re.compile(r",(?![^\[(]*[\])])")
 """A comma between expressions, outside brackets."""
@@ -37,15 +37,9 @@ def matrix(c: Asked, line: Line) -> Made:
     return Made(item, [signal_of(port) for port in item.outputs], expand=False)
 
 
-def _terms(c: Asked, one: str, known: str) -> list[tuple[str, str]]:
-    said = c.text("Inputs", "2").replace("|", "").replace(" ", "")
-    signs = said if not said.strip(known) else one * int(c.scalar("Inputs", "2"))
-    return [(sign, f"u{k}") for k, sign in enumerate(signs, start=1)]
-
-
 def _sum(c: Asked) -> tuple[str, dict[str, Value]]:
     c.kind("real")
-    terms = _terms(c, "+", "+-")
+    terms = [(sign, f"u{k}") for k, sign in enumerate(signs(c, "++"), start=1)]
     if len(terms) == 1:
         raise NotTranslated("a sum of the elements of a matrix is not translated")
     first = next((term for term in terms if term[0] == "+"), terms[0])  # where MathWorks' C begins
@@ -54,7 +48,8 @@ def _sum(c: Asked) -> tuple[str, dict[str, Value]]:
 
 def _product(c: Asked) -> tuple[str, dict[str, Value]]:
     c.kind("real")
-    whole, terms = c.text("Multiplication", "Element-wise(.*)") == "Matrix(*)", _terms(c, "*", "*/")
+    whole = c.text("Multiplication", "Element-wise(.*)") == "Matrix(*)"
+    terms = [(sign, f"u{k}") for k, sign in enumerate(signs(c, "**"), start=1)]
     if len(terms) == 1 or terms[0][0] == "/" or (whole and any(sign == "/" for sign, _ in terms)):
         raise NotTranslated("a product of the elements or an inverse of a matrix is not translated")
     dot = "" if whole else "."

@@ -15,10 +15,10 @@ from twodof.blocks.elementwise import elementwise
 from twodof.blocks.expressions.expr import convert
 from twodof.slx.composite_blocks import Formula
 from twodof.slx.matlab.function_block import MatlabFunction
-from twodof.slx.translation import Asked, Item, Made, NotTranslated, Signal, expanded
+from twodof.slx.translation import Asked, Item, Made, NotTranslated, Signal, expanded, names_of
 
 ROUTES = ("BusAssignment", "BusCreator", "BusSelector", "Concatenate", "Constant", "DataStoreMemory", "DataStoreRead",
-          "DataStoreWrite", "Demux", "Ground", "Inport", "ManualSwitch", "Memory", "Merge", "Mux", "RateTransition",
+          "DataStoreWrite", "Demux", "Ground", "Inport", "Memory", "Merge", "Mux", "RateTransition",
           "Selector", "SignalConversion", "SignalSpecification", "UnitDelay", "ZeroOrderHold")  # fmt: skip
 """Types that compute nothing: their rules take float32 as any other kind."""
 
@@ -123,8 +123,9 @@ def _converted(made: Made, inputs: Sequence[Signal], outputs: Sequence[Signal]) 
             source = f"{d.add(f'wide{k}', _conversion(one, 'real'), u1=source)}.y"
         sources[port.name] = expanded(d, source, replace(one, kind="real"), width) if made.expand else source
     d.add("of", item, inputs=sources)
-    names = [port.name for port in item.outputs] if isinstance(item, Block) else list(item.outputs)
-    for k, (name, before, after) in enumerate(zip(names, made.outputs, outputs, strict=True), start=1):
+    for k, (name, before, after) in enumerate(
+        zip(names_of(item, outputs=True), made.outputs, outputs, strict=True), start=1
+    ):
         source = f"of.{name}"
         if after.kind != before.kind:
             source = f"{d.add(f'round{k}', _conversion(before, 'float32'), u1=source)}.y"

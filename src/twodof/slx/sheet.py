@@ -21,7 +21,7 @@ KEEPS_TYPE = (
 )
 """Types of blocks whose output has the type of what they combine."""
 BACKWARDS = "Inherit: Inherit via back propagation"
-_TEXTS = {"real": "double", "float32": "single", "bool": "boolean"}
+_TEXTS = {"real": "double", "float32": "single", "bool": "boolean", "float64": "uint64"}
 
 
 class Sheet:

@@ -62,12 +62,34 @@ def _line(c: Asked) -> Made:
     """Return the last samples, the oldest first; with the present one where it feeds through."""
     for name in ("enable_output", "hold_output"):
         c.needs(name, "off", "off")
-    order = "w = [w(2:end); u]; y = w;" if c.text("directfeed", "on") == "on" else "y = w; w = [w(2:end); u];"
+    return _samples(c, int(c.scalar("siz", "64")), c.text("directfeed", "on") == "on", "w", "ic")
+
+
+def _taps(c: Asked) -> Made:
+    if c.inputs[0].width is not None:
+        raise NotTranslated("a delay of a vector is not translated")
+    present, newest = c.text("includeCurrent", "off") == "on", c.text("DelayOrder", "Oldest") == "Newest"
+    return _samples(c, int(c.scalar("NumDelays", "4")) + present, present, "w(end:-1:1)" if newest else "w", "vinit")
+
+
+def _samples(c: Asked, count: int, present: bool, order: str, initial: str) -> Made:
+    keep = "w = [w(2:end); u];"
     code = f"""function y = f(u, n, x0)
     persistent w
     if isempty(w), w = x0 .* ones(n, 1); end
-    {order}"""
-    return _function(c, code, {"n": c.value("siz", "64"), "x0": c.value("ic", "0").reshape(-1, 1)})
+    {f"{keep} y = {order};" if present else f"y = {order}; {keep}"}"""
+    return _function(c, code, {"n": np.array([[float(count)]]), "x0": c.value(initial, "0").reshape(-1, 1)})
+
+
+def _flip_flop(c: Asked) -> Made:
+    """Return Q and not Q of a set and a reset, whose table gives 0 for both where both are true."""
+    if any(one.kind != "bool" or one.width is not None for one in c.inputs):
+        raise NotTranslated("its inputs are not single booleans")
+    code = """function [q, notq] = f(s, r, x0)
+    persistent x
+    if isempty(x), x = x0; end
+    q = ~r & (s | x); notq = ~s & (r | ~x); x = q;"""
+    return _function(c, code, {"x0": c.value("initial_condition", "0") != 0})
 
 
 def _polynomial(c: Asked) -> Made:
@@ -127,5 +149,7 @@ TOOLBOX_RULES: dict[str, Rule] = {
     "Least Squares Polynomial Fit": _polynomial,
     "Median Filter": _median,
     "Moving Average": _average,
+    "S-R Flip-Flop": _flip_flop,
+    "Tapped Delay": _taps,
 }
 """Rule of each of these, by the library block's name."""

@@ -1,6 +1,6 @@
 """Translation of one Simulink block: what is asked, what it became, and the types of its signals."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,9 @@ from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.enumeration import Kind
-from twodof.blocks.expressions.numbers import FLOATS
-from twodof.blocks.library import Demux, Gain, MatrixGain, Mux, ZeroOrderHold
+from twodof.blocks.expressions.conversions import may_overflow
+from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, INTEGERS
+from twodof.blocks.library import Convert, Demux, Gain, MatrixGain, Mux, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.values import Value, number
@@ -33,6 +34,8 @@ class Signal:
     width: int | None = None
     """Number of elements: of a matrix too."""
     shape: tuple[int, int] | None = None
+    bits: int = 0
+    """Number of bits of a field of bits, which is narrower than its kind; 0 of another number."""
 
     def port(self, name: str) -> Port:
         """Return a port of this type."""
@@ -151,8 +154,23 @@ def plain(value: Any, kind: Kind) -> Any:
     return bool(value) if kind == "bool" else float(value) if kind in FLOATS else int(value)
 
 
-def expanded(d: Diagram, source: str, signal: Signal, width: int | None) -> str:
-    """Return the source of a signal with this width: a scalar is repeated. Raises NotTranslated for another width."""
+def widest(signals: Sequence[Signal]) -> Kind:
+    """Return the kind that holds all signals: the one of several numbers that reaches highest, as Simulink takes it."""
+    if all(replace(one, width=None).like(replace(signals[0], width=None)) for one in signals):
+        return signals[0].kind
+    rank = (*FLOATS, *sorted(INTEGERS, key=lambda kind: -BY_NAME[kind].high), "bool")
+    return min((one.number for one in signals), key=rank.index)
+
+
+def expanded(d: Diagram, source: str, signal: Signal, width: int | None, kind: Kind | None = None) -> str:
+    """Return the source of a signal with this width and kind: a scalar is repeated, a number converted.
+
+    Raises NotTranslated for another width.
+    """
+    if kind not in (None, signal.kind) and not isinstance(signal.kind, Bus):
+        name, over = f"{source.replace('.', '_')}_{kind}", "wrap" if may_overflow(signal.number, str(kind)) else None
+        source = d.add(name, Convert(signal.number, str(kind), width=signal.width, overflow=over), u=source)
+        signal = replace(signal, kind=kind)
     if signal.width == width or width is None:
         return source
     if signal.width is not None:
@@ -165,15 +183,18 @@ def expanded(d: Diagram, source: str, signal: Signal, width: int | None) -> str:
     return name
 
 
-def each(rule: Rule, *parameters: str) -> Rule:
-    """Return the rule of a block that takes the elements of its vectors one by one: of inputs and of `parameters`."""
+def each(rule: Rule, *parameters: str, wide: bool = False) -> Rule:
+    """Return the rule of a block that takes the elements of its vectors one by one: of inputs and of `parameters`.
 
-    def made(c: Asked) -> Made:
+    With `wide` the rule takes vectors of inputs itself.
+    """
+
+    def of_all(c: Asked) -> Made:
         vectors = {name: c.value(name, "0").flatten(order="F") for name in parameters if name in c.values}
         sizes = {value.size for value in vectors.values() if value.size > 1}
-        sizes |= set() if c.width is None else {c.width}
-        if not sizes:
+        if not sizes and (wide or c.width is None):
             return rule(c)
+        sizes |= set() if c.width is None else {c.width}
         if len(sizes) > 1:
             raise NotTranslated(f"its vectors have {' and '.join(map(str, sorted(sizes)))} elements")
         width = sizes.pop()
@@ -185,18 +206,43 @@ def each(rule: Rule, *parameters: str) -> Rule:
                 d.add(f"split{k}", Demux(width, one.kind), u=f"u{k}")
         for k, name in enumerate(port_series(width)):
             values = {key: repr(float(value[min(k, value.size - 1)])) for key, value in vectors.items()}
-            one_of = rule(replace(c, inputs=list(alone), values={**c.values, **values})).item
-            if one_of is None:
-                raise NotTranslated("its vector is not translated")
-            ports = [port.name for port in one_of.inputs] if isinstance(one_of, LibraryBlock) else list(one_of.inputs)
+            made = rule(replace(c, inputs=list(alone), values={**c.values, **values}))
+            one_of, output = made.item, made.outputs[0]
+            if one_of is None or len(made.outputs) != 1 or len(names_of(one_of)) != len(alone):
+                raise NotTranslated("its vector, or the number of its inputs, is not translated")
             sources = [f"u{j}" if one.width is None else f"split{j}.{name}" for j, one in enumerate(c.inputs)]
-            d.add(f"of_{name}", one_of, inputs=dict(zip(ports, sources, strict=True)))
-            y[name] = f"of_{name}.y"
-        d.add("y", Mux(width), inputs=y)
+            d.add(f"of_{name}", one_of, inputs=dict(zip(names_of(one_of), sources, strict=True)))
+            y[name] = f"of_{name}.{names_of(one_of, outputs=True)[0]}"
+        d.add("y", Mux(width, output.number), inputs=y)
         d.output("y", "y")
-        return Made(d, [Signal("real", width)], expand=False)
+        return Made(d, [replace(output, width=width)], expand=False)
 
-    return made
+    return of_all
+
+
+def row(block: Callable[..., LibraryBlock], *given: tuple[str, str]) -> Rule:
+    """Return the rule of a library block whose arguments are numbers of the dialog, by name and default."""
+
+    def rule(c: Asked) -> Made:
+        if c.inputs:
+            c.kind("real")
+        return Made(block(*(c.scalar(*one) for one in given)), [Signal()])
+
+    return each(rule, *(name for name, _ in given))
+
+
+def names_of(item: Item, outputs: bool = False) -> list[str]:
+    """Return the names of the inputs of a block or diagram, or of its outputs; a bus is one."""
+    ports: Iterable[str | Port] = item.outputs if outputs else item.inputs
+    return list(dict.fromkeys((port if isinstance(port, str) else port.name).partition(".")[0] for port in ports))
+
+
+def signs(c: Asked, default: str) -> str:
+    """Return the signs of the inputs of a Sum or Product, which says them or how many there are of the first kind."""
+    said = c.text("Inputs", default).replace("|", "").replace(" ", "")
+    return (
+        said if not said.strip("+-" if default[0] == "+" else "*/") else default[0] * int(c.scalar("Inputs", default))
+    )
 
 
 def of_elements(c: Asked, rule: Rule) -> Made:
@@ -205,10 +251,13 @@ def of_elements(c: Asked, rule: Rule) -> Made:
     made = rule(replace(c, inputs=[replace(one, width=None)] * width))
     if made.item is None:
         raise NotTranslated("its vector is not translated")
-    ports = [port.name for port in made.item.inputs] if isinstance(made.item, LibraryBlock) else [*made.item.inputs]
     d = Diagram("elements")
     d.add("each", Demux(width, one.number), u=d.input("u", one.kind, one.width))
-    d.add("y", made.item, inputs=dict(zip(ports, (f"each.{name}" for name in port_series(width)), strict=True)))
+    d.add(
+        "y",
+        made.item,
+        inputs=dict(zip(names_of(made.item), (f"each.{name}" for name in port_series(width)), strict=True)),
+    )
     d.output("y", "y")
     return Made(d, made.outputs)
 
@@ -235,6 +284,7 @@ TYPES = {
     "single": "real",  # but see data_types.SINGLE
     "boolean": "bool",
     "logical": "bool",
-    **{name: name for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32")},
+    **{name: name for name in INTEGERS},
+    **dict.fromkeys(("int64", "uint64"), "float64"),  # which holds whole numbers up to 2^53
 }
 """Data types that have a kind here."""

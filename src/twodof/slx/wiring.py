@@ -1,13 +1,12 @@
 """From translated Simulink blocks to diagrams: one for each system, with its parts, conditions and connections."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
-from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import Constant, DataStore, Logic, Merge, StoreRead, ZeroOrderHold
 from twodof.slx.conditions import Activation, ControlEdge
@@ -15,7 +14,7 @@ from twodof.slx.connections import PASSING, Connections, Output, store_name
 from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.values import as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number
-from twodof.slx.translation import Made, NotTranslated, Signal, expanded, plain
+from twodof.slx.translation import Made, NotTranslated, Signal, expanded, names_of, plain
 
 
 class Wiring(Connections):
@@ -97,7 +96,7 @@ class Wiring(Connections):
             if not self._writers((path, sid)):
                 diagram.connect(f"{name}.y", f"{name}.u")
             return
-        ports = _port_names(item.inputs)
+        ports = names_of(item)
         if isinstance(item, Diagram):
             self._condition(path, sid, below(path, block))
         if isinstance(item, Merge):
@@ -226,10 +225,13 @@ class Wiring(Connections):
             return self._reach(path, source)
         _, sid, output = source
         block = self.blocks[path, sid]
+        if block.type == "EnablePort":
+            enabling = self._resolved(source)
+            return self._name(path, None, names, diagram) if enabling is None else self._reach(path, enabling)
         if block.type in ("Inport", "InportShadow"):
             shown = self.sheets[path].ports.get(("Inport", port_number(block)))
             return names[shown or sid]
-        return f"{names[sid]}.{_port_names(diagram.parts[names[sid]].item.outputs)[output - 1]}"
+        return f"{names[sid]}.{names_of(diagram.parts[names[sid]].item, outputs=True)[output - 1]}"
 
     def _reach(self, path: str, source: Output) -> str:
         """Return a sheet's name for an output of another sheet: it leads out of and into the systems between."""
@@ -259,12 +261,6 @@ class Wiring(Connections):
         if notes and status == "imported":
             status, why = "approximated", "; ".join(notes)
         self._line(path, sid, status, why)
-
-
-def _port_names(ports: Iterable[str | Port]) -> list[str]:
-    """Return the names of a part's inputs or outputs; a bus is one."""
-    names = [port if isinstance(port, str) else port.name for port in ports]
-    return list(dict.fromkeys(name.partition(".")[0] for name in names))
 
 
 def _corner(block: SimulinkBlock) -> tuple[float, float] | None:
