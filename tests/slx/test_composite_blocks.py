@@ -398,3 +398,36 @@ def test_the_rest_of_a_toolbox_is_looked_for_in_files_and_other_forms_are_refuse
     assert line.why == "the library dspstat3 is not found: name its folder with --path"
     (line,) = one_block(tmp_path, "ctrlSharedLib/Kalman Filter", {**KALMAN, "N": "1"}, ("double",)).refused
     assert line.why.startswith("noises that depend on one another")
+
+
+WHOLE = np.random.default_rng(9).integers(0, 256, (2, STEPS)).astype(np.uint8)
+HDL = "hdlsllib/Logic and Bit Operations"
+_FIELD = "Treat bit field as an integer"
+
+
+def _wide(u: np.ndarray) -> np.ndarray:
+    return u.astype(np.int64) if u.dtype == np.uint8 else u
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "wanted"),
+    [
+        (f"{HDL}/Bit Shift", {"mode": "Shift Left Logical", "N": "3"}, lambda a: a << 3 & 255),
+        (f"{HDL}/Bit Shift", {"mode": "Shift Right Logical", "N": "2"}, lambda a: a >> 2),
+        (f"{HDL}/Bit Slice", {"lidx": "6", "ridx": "3"}, lambda a: a >> 3 & 15),
+        (f"{HDL}/Bit Concat", {}, lambda a, b: a << 8 | b),
+        (
+            f"{LOGIC}/Extract Bits",
+            {"bitsToExtract": "Range of bits", "bitIdxRange": "[1 4]", "outScalingMode": _FIELD},
+            lambda a: a >> 1 & 15,
+        ),
+        ("Switch", {"Criteria": "u2 ~= 0"}, lambda a, b, c: np.where(b, a, c)),
+    ],
+)
+def test_bits_of_whole_numbers_are_taken_and_joined(
+    tmp_path: Path, kind: str, values: dict[str, str], wanted: Wanted
+) -> None:
+    count = wanted.__code__.co_argcount
+    given = [WHOLE[0], WHOLE[1], DRAWN[0]][:count]
+    kinds = ("uint8", "uint8", "double")[:count]
+    assert np.array_equal(run(one_block(tmp_path, kind, values, kinds), given), wanted(*map(_wide, given)))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tests.slx.files import Blocks, model_of
 from twodof.blocks.schema.json_form import from_json, to_json
@@ -154,3 +155,30 @@ def test_a_second_order_integrator_is_two_in_a_row(tmp_path: Path) -> None:
     t = np.arange(STEPS) * DT
     assert np.allclose(got["y1"], 1.0 - 2.0 * t + 1.5 * t**2, rtol=0.0, atol=1e-12)
     assert np.allclose(got["y2"], -2.0 + 3.0 * t, rtol=0.0, atol=1e-12)
+
+
+def test_a_pid_of_two_degrees_of_freedom_weighs_its_set_point_and_clamps_its_integral(tmp_path: Path) -> None:
+    """P of b r - y, I of r - y; the integral stands still while the output is limited and the error goes further."""
+    values = {"SourceBlock": "slpidlib/PID Controller (2DOF)", "TimeDomain": "Discrete-time", "Controller": "PI",
+              "P": "2", "I": "50", "b": ".5", "LimitOutput": "on", "LowerSaturationLimit": "-3",
+              "UpperSaturationLimit": "3", "AntiWindupMode": "clamping"}  # fmt: skip
+    wanted, integral = [], 0.0
+    for r, y in zip(*DRAWN[:2], strict=True):
+        free, rate = 2.0 * (0.5 * r - y) + integral, 50.0 * (r - y)
+        wanted.append(min(max(free, -3.0), 3.0))
+        if not ((free > 3.0 and rate > 0.0) or (free < -3.0 and rate < 0.0)):
+            integral += DT * rate
+    assert np.array_equal(run(tmp_path, "Reference", values, [DRAWN[0], DRAWN[1]])["y1"], wanted)
+    assert {-3.0, 3.0} < set(wanted)
+
+
+@pytest.mark.parametrize("ported", [False, True])
+def test_a_transposed_filter_filters_as_scipy_does(tmp_path: Path, ported: bool) -> None:
+    top, bottom = [0.5, 0.2, -0.1], [1.0, -1.2, 0.5]
+    values = {"FilterStructure": "Direct form II transposed", "Denominator": str(bottom), "Numerator": str(top)}
+    rows = [DRAWN[0]]
+    if ported:
+        values["NumeratorSource"] = "Input port"
+        rows.append(np.tile(top, (len(DRAWN[0]), 1)))
+    found = run(tmp_path, "DiscreteFilter", values, rows)["y1"]
+    assert np.allclose(found, lfilter(top, bottom, DRAWN[0]), rtol=0.0, atol=1e-12)  # scipy rounds in another order

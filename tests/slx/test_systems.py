@@ -171,7 +171,7 @@ def test_a_function_call_input_acts_in_the_steps_of_its_calls(tmp_path: Path) ->
 
 def test_conditions_without_an_equivalent_are_refused_by_path(tmp_path: Path) -> None:
     inside: tuple[Blocks, Lines] = (
-        [*COUNT, ("Outport", "out", {}), ("EnablePort", "e", {"ShowOutputPort": "on"})],
+        [*COUNT, ("Outport", "out", {}), ("TriggerPort", "e", {"ShowOutputPort": "on"})],
         COUNTED,
     )
     each: tuple[Blocks, Lines] = ([*COUNT, ("Outport", "out", {}), ("ForEach", "each", {})], COUNTED)
@@ -192,7 +192,7 @@ def test_conditions_without_an_equivalent_are_refused_by_path(tmp_path: Path) ->
     ]
     found = imported(tmp_path, blocks, lines)
     assert {(line.path, line.why) for line in found.refused} == {
-        ("shown", "ShowOutputPort of its EnablePort is not translated"),
+        ("shown", "ShowOutputPort of its TriggerPort is not translated"),
         ("all", "a subsystem with a ForEach is not translated"),
     }
 

@@ -387,6 +387,7 @@ INPUTS |= {"MultiPortSwitch": 4, "Merge": 2, "PID Controller (2DOF)": 2}
 INPUTS |= dict.fromkeys(
     ("Band-Limited White Noise", "Clock", "Constant", "Counter Free-Running", "Counter Limited", "DigitalClock",
      "DiscretePulseGenerator", "Function-Call Generator", "Ground", "Ramp", "RandomNumber", "Repeating Sequence",
-     "Repeating Sequence Stair", "SignalGenerator", "Sin", "Step", "UniformRandomNumber", "DataStoreMemory", "DataStoreRead"), 0,
+     "Repeating Sequence Stair", "SignalGenerator", "Sin", "Step", "UniformRandomNumber", "DataStoreMemory",
+     "DataStoreRead"), 0,
 )  # fmt: skip
 """Inputs of a block of which the file does not say how many; of any other type one."""
