@@ -435,7 +435,7 @@ def _state_space(c: Asked) -> Made:
         d = np.full(shape, float(d.flat[0]))
     if b.shape[1] != (c.width or 1) or d.shape != shape:
         raise NotTranslated(f"B has {b.shape[1]} columns, D {d.shape}, and the input {c.width or 1} elements")
-    block = {"StateSpace": StateSpace, "DiscreteStateSpace": DiscreteStateSpace}[c.block.type]
+    block: Callable[..., Item] = StateSpace if c.block.type == "StateSpace" else DiscreteStateSpace
     item = block(*(one.tolist() for one in (a, b, cc, d)), initial if len(initial) > 1 else initial[0])
     return Made(item, [Signal("real", None if shape[0] == 1 else shape[0])])
 
