@@ -644,3 +644,41 @@ def test_vectors_of_single_beside_double_stay_single(tmp_path: Path) -> None:
     y = flown(found, {"c": c, "a": a, "b": DRAWN[1]})
     assert np.array_equal(y["y1"], c[:, [1, 0]])
     assert np.array_equal(y["y2"], np.stack([c[:, 2], a], 1) * np.array([0.1, 0.2], np.float32))
+
+
+def test_64_bit_numbers_are_doubles_and_say_so(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "t", {"OutDataTypeStr": "uint64"}),
+        ("Constant", "first", {"Value": "5", "OutDataTypeStr": "uint64"}),
+        ("Sum", "since", {"Inputs": "+-", "OutDataTypeStr": "uint64"}),
+        ("Gain", "seconds", {"Gain": "1e-6", "OutDataTypeStr": "double", "ParamDataTypeStr": "double"}),
+        ("Outport", "y", {}),
+        ("Outport", "whole", {"Port": "2"}),
+    ]
+    lines = [("t", "since:1"), ("first", "since:2"), ("since", "seconds"), ("seconds", "y"), ("since", "whole")]
+    found = imported(tmp_path, blocks, lines)
+    assert any("exact up to 2^53" in note for note in found.notes)
+    t = 2.0**52 + np.arange(200)
+    y = flown(found, {"t": t})
+    assert np.array_equal(y["whole"], t - 5.0)
+    assert np.array_equal(y["y"], 1e-6 * (t - 5.0))
+
+
+def test_a_bus_of_one_type_is_a_vector_where_a_block_takes_none(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "a", {"OutDataTypeStr": "double"}),
+        ("Inport", "b", {"Port": "2", "OutDataTypeStr": "double", "PortDimensions": "2"}),
+        ("BusCreator", "make", {"Inputs": "2", "Ports": "[2, 1]"}),
+        ("Gain", "k", {"Gain": "[2 3 5]"}),
+        ("Outport", "y", {}),
+    ]
+    found = imported(tmp_path, blocks, [("a", "make:1"), ("b", "make:2"), ("make", "k"), ("k", "y")])
+    assert np.array_equal(flown(found, {"a": DRAWN[0], "b": DRAWN[1:].T.copy()})["y"], DRAWN.T * [2.0, 3.0, 5.0])
+
+
+def test_an_s_function_without_code_is_missing(tmp_path: Path) -> None:
+    block = ("S-Function", "solve", {"FunctionName": "solver", "Ports": "[1, 1]"})
+    blocks, lines = [("Inport", "u", {}), block, ("Outport", "y", {})], [("u", "solve"), ("solve", "y")]
+    assert "the code of the S-Function solver is not found" in imported(tmp_path, blocks, lines).refused[0].why
+    (tmp_path / "solver.c").touch()
+    assert "solver is code of its own" in imported(tmp_path, blocks, lines).refused[0].why

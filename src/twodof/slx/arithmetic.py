@@ -66,7 +66,7 @@ def fitted(value: Any, kind: str, saturate: bool, rounding: str) -> Any:
         return value != 0.0
     whole = ROUNDING[rounding](value)
     if kind == "float64":
-        return whole
+        return convert(whole, kind)
     if not saturate:
         span = float(BY_NAME[kind].high - BY_NAME[kind].low + 1)
         whole = whole - floor(whole / span) * span
