@@ -1,6 +1,6 @@
-"""Writes the coverage table in docs/explanation/identification.md: `python -m tools.coverage_table [--seeds 72]`.
+"""Writes the coverage table in docs/explanation/identification.md: `python -m tools.coverage_table [--seeds 300]`.
 
-It takes an hour of processor time, so no test makes it again; `make soak` checks what it shows. It stands between
+It takes two hours of processor time, so no test makes it again; `make soak` checks what it shows. It stands between
 `<!-- measured: coverage -->` and `<!-- end -->`. The rows are kept in out/coverage, so what was stopped goes on. The
 same seeds give the same figures.
 """
@@ -51,7 +51,7 @@ def say(line: str) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=72)
+    parser.add_argument("--seeds", type=int, default=300)
     parser.add_argument("--jobs", type=int, default=None, help="processes")
     asked = parser.parse_args()
     rendered = [line for rig in NAMES for line in table(rig, asked.seeds, asked.jobs)]

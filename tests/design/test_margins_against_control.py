@@ -13,7 +13,7 @@ from scipy import signal
 from bench.computing.random_loops import COUNT, Floats, RandomLoop, random_loop
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.design import LoopMargins, LoopTransfer, closed_loop_poles, margins
-from twodof.errors import CompileError
+from twodof.errors import CompileError, ParameterError
 from twodof.sim.linear import cascade_loop
 
 pytestmark = pytest.mark.slow
@@ -121,3 +121,7 @@ def test_a_system_of_python_control_comes_back() -> None:
     )
     with pytest.raises(CompileError, match="give a StateSpace"):
         LinearModel.from_control("G(s)")
+    with pytest.raises(CompileError, match="proper transfer function"):
+        LinearModel.from_control(control.tf([1, 0, 0], [1, 1]))
+    with pytest.raises(ParameterError, match=r"2 inputs and 2 outputs.*system\[0, 0\]"):
+        LoopTransfer.from_control(control.ss(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2))))

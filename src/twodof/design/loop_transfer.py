@@ -143,8 +143,15 @@ class LoopTransfer:
 
     @classmethod
     def from_control(cls, system: Any) -> Self:
-        """Return the loop that a system of python-control describes; see `LinearModel.from_control`."""
-        return cls.of(LinearModel.from_control(system))
+        """Return the loop that a system of python-control describes; see `LinearModel.from_control`.
+
+        Raises ParameterError for a system of several inputs or outputs.
+        """
+        model = LinearModel.from_control(system)
+        if (len(model.inputs), len(model.outputs)) != (1, 1):
+            what = f"a system of {len(model.inputs)} inputs and {len(model.outputs)} outputs is not one loop"
+            raise _error(what, "give one of its elements: system[0, 0]")
+        return cls.of(model)
 
     def to_control(self, omega: ArrayLike | None = None) -> Any:
         """Return L as python-control's FrequencyResponseData, for `control.margin`, `bode_plot` and `feedback`.

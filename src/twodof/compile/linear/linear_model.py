@@ -64,20 +64,24 @@ class LinearModel:
     def from_control(cls, system: Any) -> Self:
         """Return the model that a StateSpace or TransferFunction of python-control describes, with the same names.
 
-        Raises CompileError if python-control is not installed, and for a system of another type or without a sample
-        time.
+        Raises CompileError if python-control is not installed, and for a system of another type, without a sample
+        time, or that is improper.
         """
         control = python_control()
         if not isinstance(system, control.StateSpace | control.TransferFunction) or system.dt is True:
             what = f"{type(system).__name__} of sample time {getattr(system, 'dt', None)} is not a linear model"
             remedy = "give a StateSpace or a TransferFunction; its sample time is 0 or a number of seconds"
             raise CompileError(what, "from_control", remedy)
-        s = control.ss(system)
+        try:
+            s = control.ss(system)
+        except ValueError as reason:
+            remedy = "give a proper transfer function: its numerator's degree is at most that of the denominator"
+            raise CompileError(f"it has no state space: {reason}", "from_control", remedy) from None
         names = (tuple(s.state_labels), tuple(s.input_labels), tuple(s.output_labels))
         return cls(s.A, s.B, s.C, s.D, s.dt or None, *names, name=s.name)
 
     def to_control(self) -> Any:
-        """Return the model as python-control's StateSpace, with the same names.
+        """Return the model as python-control's StateSpace, with the same names, `_` for each dot in them.
 
         Raises CompileError if python-control is not installed.
         """
