@@ -89,9 +89,9 @@ def test_names_that_are_not_there_arrays_and_inputs_left_out_are_refused() -> No
         Stepper(made, ["a", "b"], ["y"])
     flight = machine(core())
     names = [name for name, *_ in INPUTS]
-    with pytest.raises(DiagramError, match="no scalar called 'z'"):
+    with pytest.raises(DiagramError, match="no scalar named 'z'"):
         Stepper(flight, names, ["z"])
-    with pytest.raises(DiagramError, match="no scalar called 'z'"):
+    with pytest.raises(DiagramError, match="no scalar named 'z'"):
         Stepper(flight, [*names, "z"], ["theta"])
 
 

@@ -126,7 +126,7 @@ def test_bad_models_are_refused() -> None:
         DelayedStateSpace.of([[1.0]], [1.0], [[1.0]], [[0.0]], delay=-0.1)
     with pytest.raises(ParameterError, match="sample time"):
         Velocity(1.0, 1.0).state_space().zero_order_hold(0.0)
-    with pytest.raises(ParameterError, match="no step"):
+    with pytest.raises(ParameterError, match="so this is not a step"):
         step_figures([0.0, 1.0], [0.0, 0.0], 1.0, 1.0)
 
 
