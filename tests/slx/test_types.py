@@ -682,3 +682,16 @@ def test_an_s_function_without_code_is_missing(tmp_path: Path) -> None:
     assert "the code of the S-Function solver is not found" in imported(tmp_path, blocks, lines).refused[0].why
     (tmp_path / "solver.c").touch()
     assert "solver is code of its own" in imported(tmp_path, blocks, lines).refused[0].why
+
+
+def test_elements_of_a_bus_without_a_type_are_inputs(tmp_path: Path) -> None:
+    port = {"Port": "1", "InterfaceIsComposite": "1", "InterfacePortNumber": "1", "InterfacePortName": "Estimates"}
+    blocks = [
+        ("Inport", "first", {**port, "InterfaceElement": "velocity"}),
+        ("Inport", "second", {**port, "InterfaceElement": "current"}),
+        ("Sum", "both", {"Inputs": "+-"}),
+        ("Outport", "y", {}),
+    ]
+    found = imported(tmp_path, blocks, [("first", "both:1"), ("second", "both:2"), ("both", "y")])
+    y = flown(found, {"Estimates_velocity": DRAWN[0], "Estimates_current": DRAWN[1]})["y"]
+    assert np.array_equal(y, DRAWN[0] - DRAWN[1])

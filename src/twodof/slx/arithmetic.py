@@ -231,10 +231,6 @@ def _compare_to(c: Asked, wanted: float) -> Made:
     return _truth(c, lambda u: _OPERATIONS[operation](u, wanted), block)
 
 
-def _compare_to_constant(c: Asked) -> Made:
-    return _compare_to(c, c.scalar("const", "3.0"))
-
-
 # --- bits
 
 
@@ -304,13 +300,14 @@ def _field(c: Asked) -> Made:
 _LOGICAL = ("Shift Left Logical", "Shift Right Logical")
 
 
+_TO_CONSTANT = each(lambda c: _compare_to(c, c.scalar("const", "3.0")), "const", wide=True)
 ARITHMETIC_RULES: dict[str, Rule] = {
     "Abs": _absolute,
     "ArithShift": _shift,
     "Bias": _bias,
     "Bitwise Operator": _bits,
     **dict.fromkeys(("Bit Concat", "Bit Shift", "Bit Slice", "Extract Bits"), _field),
-    **dict.fromkeys(("CompareToConstant", "Compare To Constant"), each(_compare_to_constant, "const", wide=True)),
+    **dict.fromkeys(("CompareToConstant", "Compare To Constant"), _TO_CONSTANT),
     **dict.fromkeys(("CompareToZero", "Compare To Zero"), lambda c: _compare_to(c, 0.0)),
     "DataTypeConversion": _convert,
     "MinMax": _min_max,

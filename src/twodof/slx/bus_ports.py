@@ -74,7 +74,7 @@ def with_ports(system: System, notes: list[str]) -> System:
 
     `notes` gets a line for each input that is made so.
     """
-    system = with_bus_ports(system)
+    system = with_bus_ports(_with_elements(system))
     blocks, lines, recorded = dict(system.blocks), list(system.lines), list[SimulinkBlock]()
     for sid, block in system.blocks.items():
         if block.system is not None and not block.commented:
@@ -96,6 +96,20 @@ def with_ports(system: System, notes: list[str]) -> System:
         blocks[block.sid] = _port("Outport", block, number)
         blocks[block.sid].name = block.values.get("VariableName", "sim")
     return System(blocks, lines)
+
+
+def _with_elements(system: System) -> System:
+    """Return a system in which each element of a bus whose type no port says is an input of its own."""
+    ports = {sid: b for sid, b in system.blocks.items() if b.type == "Inport" and b.values.get("InterfaceElement")}
+    typed = {port_number(b) for b in ports.values() if b.values.get("OutDataTypeStr", "").startswith("Bus")}
+    made = dict(system.blocks)
+    for number, (sid, block) in enumerate(ports.items(), start=len(made) + 1):  # beyond those of other ports
+        if port_number(block) not in typed:
+            name = f"{block.values.get('InterfacePortName', block.name)}_{block.values['InterfaceElement']}"
+            made[sid] = replace(
+                block, name=name, values={**block.values, "InterfaceIsComposite": "0", "Port": str(number)}
+            )
+    return System(made, system.lines)
 
 
 def _port(kind: str, block: SimulinkBlock, number: int) -> SimulinkBlock:

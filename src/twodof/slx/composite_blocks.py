@@ -196,8 +196,7 @@ def _first(c: Asked) -> Made:
     return formula(c, lambda t, u, begun: where(begun, u, start), begun=(False, lambda t, u, begun: True | begun))
 
 
-def _wrap(c: Asked) -> Made:
-    most = c.scalar("Threshold", "255")
+def _wrap(c: Asked, most: float) -> Made:
     return formula(c, lambda t, u: where(u > most, 0.0, u))
 
 
@@ -525,7 +524,7 @@ COMPOSITE_RULES: dict[str, Rule] = {
     ),
     "UniformRandomNumber": _noise(UniformNoise, ("Seed", "0"), ("Minimum", "-1"), ("Maximum", "1")),
     "Unit Delay Enabled": _enabled_delay,
-    "Wrap To Zero": _wrap,
+    "Wrap To Zero": lambda c: _wrap(c, c.scalar("Threshold", "255")),
 }
 """Rule of each of these, by block type or by the library block's name."""
 SHOWN = (

@@ -407,13 +407,13 @@ def _integrator(c: Asked) -> Made:
 
 def _second_order(c: Asked) -> Made:
     """Return two integrators in a row: the position, and its rate."""
-    for name, default in (
-        ("ICSourceX", "internal"),
-        ("ICSourceDXDT", "internal"),
-        ("LimitX", "off"),
-        ("LimitDXDT", "off"),
-    ):
-        c.needs(name, default, default)
+    for name, only in {
+        "ICSourceX": "internal",
+        "ICSourceDXDT": "internal",
+        "LimitX": "off",
+        "LimitDXDT": "off",
+    }.items():
+        c.needs(name, only, only)
     c.needs("ExternalReset", "none", "none")
     c.kind("real")
     d, signals = Diagram("second_order"), {"x": Signal("real", c.width), "rate": Signal("real", c.width)}
