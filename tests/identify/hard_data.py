@@ -196,6 +196,78 @@ def _in_degrees() -> Estimate:
     )
 
 
+def _late(seconds: float) -> Any:
+    """Return the fit of a motor whose input is logged this long after it acts, or before it if below 0."""
+    k = round(seconds / DT)
+    return _columns(lambda t, u, y: (t[abs(k) :], u[: u.size - k] if k > 0 else u[-k:], y[k:] if k > 0 else y[:k]))
+
+
+def _driven(u: ArrayLike, dt: float = DT, noise: float = 0.02, start: float = 0.0) -> Any:
+    """Return the fit of a motor under this input."""
+    applied = np.asarray(u, dtype=float)
+    _, y = simulated(MOTOR["a"], [MOTOR["b"]], applied, dt, noise=noise, start=start)
+    return lambda: fit(motor(), record(dt * np.arange(applied.size), applied, y))
+
+
+def _weak_actuator() -> Estimate:
+    asked = np.repeat(np.random.default_rng(9).uniform(-1.5, 1.5, 40), 10)
+    _, y = simulated(MOTOR["a"], [MOTOR["b"]], np.clip(asked, -0.5, 0.5), DT, noise=0.02)
+    return fit(motor(), record(DT * np.arange(400), asked, y))
+
+
+def _ageing() -> Estimate:
+    t, u, _ = motor_data()
+    _, y = simulated(MOTOR["a"], [MOTOR["b"]], u * np.linspace(1.0, 0.5, u.size), DT, noise=0.02)
+    return fit(motor(), record(t, u, y))
+
+
+def _undershooting() -> tuple[Array, Array, Array]:
+    """Return data of y = (40 - 8 s) / (s^2 + 3 s + 40) u, which begins in the wrong direction."""
+    u, x = switching(400), np.zeros(2)
+    phi, gamma = held(np.array([[0.0, 1.0], [-40.0, -3.0]]), np.array([[0.0], [1.0]]), DT)
+    rng, y = np.random.default_rng(6), np.zeros(400)
+    for k in range(400):
+        y[k] = 40.0 * x[0] - 8.0 * x[1] + 0.02 * rng.standard_normal()
+        x = phi @ x + gamma[:, 0] * u[k]
+    return DT * np.arange(400), u, y
+
+
+def _with_zero() -> Structure:
+    a, c = [[0, 1], ["-k", "-d"]], [["c0", "c1"]]
+    guess = {"k": 30.0, "d": 1.0, "c0": 30.0, "c1": 1.0}
+    return linear_model(a, [[0], [1]], c, inputs=["u"], outputs=["y"], guess=guess)
+
+
+def _controlled(applied: Array, gain: float, noise: float) -> Estimate:
+    u, y = simulated(MOTOR["a"], [MOTOR["b"]], applied, DT, feedback=gain, noise=noise)
+    return fit(motor(), record(DT * np.arange(applied.size), u, y))
+
+
+def _twin_inputs() -> Estimate:
+    t, u, y = motor_data()
+    guess = {"a": -1.0, "b": 1.0, "c": 1.0}
+    two = linear_model([["a"]], [["b", "c"]], [[1]], inputs=["u", "w"], outputs=["y"], guess=guess)
+    return fit(two, Record.from_columns(t, {"u": u, "w": 2.0 * u, "y": y}, ["u", "w"], ["y"]))
+
+
+def _play(y: Array, width: float) -> Array:
+    """Return the motion behind a play of this half width."""
+    behind = np.zeros_like(y)
+    for k in range(1, y.size):
+        behind[k] = min(max(behind[k - 1], y[k] - width), y[k] + width)
+    return behind
+
+
+def _few(t: Array, u: Array, y: Array) -> tuple[Array, Array, Array]:
+    keep = np.random.default_rng(8).random(t.size) > 0.6
+    return t[keep], u[keep], y[keep]
+
+
+def _slower(t: Array, u: Array, y: Array) -> tuple[Array, Array, Array]:
+    keep = np.concatenate([np.arange(200), np.arange(200, 400, 2)])
+    return t[keep], u[keep], y[keep]
+
+
 CASES: Mapping[str, Case] = {
     # unstable
     "unstable, closed loop": Case(lambda: fit(motor(5.0), unstable(25.0, 40.0)), {"a": 25.0, "b": 1.0}),
@@ -253,4 +325,62 @@ CASES: Mapping[str, Case] = {
     "not a number": Case(_columns(lambda t, u, y: (t, u, np.where(t == t[9], np.nan, y))), MOTOR, "finite"),
     "output stands still": Case(_columns(lambda t, u, y: (t, u, 0.0 * y)), MOTOR, "constant|nothing"),
     "without noise": Case(lambda: fit(spring(), record(*spring_data(noise=0.0))), SPRING),
+    # more of the sensor
+    "integers": Case(_columns(lambda t, u, y: (t, u, np.round(5.0 * y) / 5.0)), MOTOR),
+    "bytes": Case(
+        _columns(lambda t, u, y: (t, (50.0 * u + 100.0).astype(np.uint8), (50.0 * y + 100.0).astype(np.uint8))),
+        MOTOR,
+        "bias|trim",
+    ),
+    "thousandths": Case(_columns(lambda t, u, y: (t, u, np.round(1e3 * y).astype(int))), {"a": -2.0, "b": 3e3}),
+    "billionths of a thousandth": Case(_columns(lambda t, u, y: (t, u, 1e-12 * y)), MOTOR, "times as large"),
+    "a billion too much": Case(_columns(lambda t, u, y: (t, u, y + 1e9)), MOTOR, "far from 0"),
+    "sensor stops": Case(_columns(lambda t, u, y: (t, u, np.where(t < 4.0, y, y[200]))), MOTOR, "stands still from 4"),
+    "sensor is late": Case(_columns(lambda t, u, y: (t, u, y[np.arange(y.size) // 5 * 5])), MOTOR, "depends on"),
+    "mains hum": Case(_columns(lambda t, u, y: (t, u, y + 0.8 * np.sin(151.0 * t))), MOTOR),
+    "more noise than signal": Case(_driven(switching(4000), noise=1.5), MOTOR),
+    "squared": Case(_columns(lambda t, u, y: (t, u, y * y)), MOTOR, "hardly tell"),
+    "wraps at a turn": Case(
+        _columns(lambda t, u, y: (t, u, (4.0 * y + np.pi) % (2.0 * np.pi) - np.pi)), MOTOR, "hardly tell"
+    ),
+    "play behind the motor": Case(_columns(lambda t, u, y: (t, u, _play(y, 0.3))), MOTOR, "wanders"),
+    "a step of the zero": Case(_columns(lambda t, u, y: (t, u, y + (t > 4.0))), MOTOR, "bias|wanders"),
+    "a block of NaN": Case(
+        _columns(lambda t, u, y: (t, u, np.where((t > 2.0) & (t < 2.4), np.nan, y))), MOTOR, "not finite"
+    ),
+    "infinite input": Case(_columns(lambda t, u, y: (t, np.where(t == t[9], np.inf, u), y)), MOTOR, "not finite"),
+    "complex output": Case(_columns(lambda t, u, y: (t, u, y + 0.1j)), MOTOR, "complex"),
+    # more of the input
+    "input logged late": Case(_late(0.2), MOTOR, "leaves something out"),
+    "output logged late": Case(_late(-0.2), MOTOR, "leaves out"),
+    "actuator saturates": Case(_weak_actuator, MOTOR, "wanders"),
+    "gain falls by half": Case(_ageing, MOTOR, "wanders"),
+    "input stands still": Case(_driven(np.ones(400)), MOTOR),
+    "input stands still, settled": Case(_driven(np.ones(400), start=1.5), MOTOR, "hardly tell"),
+    "one sample of input": Case(_driven(10.0 * np.eye(1, 400, 20)[0], noise=0.005), MOTOR),
+    "nothing applied, in motion": Case(_driven(np.zeros(400), start=2.0), MOTOR, "say nothing"),
+    "twin inputs": Case(_twin_inputs, MOTOR, "tell apart 'b' and 'c'"),
+    "output is the input": Case(_spring(lambda t, u, y: (t, u, u)), SPRING, "is the input"),
+    "columns swapped": Case(_columns(lambda t, u, y: (t, y, u)), MOTOR, "unstable"),
+    "noise alone": Case(
+        _columns(lambda t, u, y: (t, u, np.random.default_rng(3).standard_normal(t.size))), MOTOR, "hardly tell"
+    ),
+    # more of the plant
+    "begins in the wrong direction": Case(
+        lambda: fit(_with_zero(), record(*_undershooting())), {"k": 40.0, "d": 3.0, "c0": 40.0, "c1": -8.0}
+    ),
+    "without its zero": Case(lambda: fit(spring(), record(*_undershooting())), SPRING, "leaves out"),
+    "too many states": Case(lambda: fit(spring(), record(*motor_data())), MOTOR, "fewer states|hardly tell"),
+    "too few states": Case(lambda: fit(motor(), record(*spring_data())), SPRING, "wanders"),
+    "controlled": Case(lambda: _controlled(4.0 * switching(400), 2.0, 0.02), MOTOR),
+    "controlled, not excited": Case(lambda: _controlled(np.zeros(400), 2.0, 0.05), MOTOR, "hardly tell|depends on"),
+    # more of the clock
+    "a microsecond a step": Case(_driven(switching(400), dt=1e-6), MOTOR, "say nothing|tell apart|hardly tell|at rest"),
+    "two steps in a time constant": Case(_driven(switching(400, 3), dt=0.25), MOTOR),
+    "time since 1970": Case(_columns(lambda t, u, y: (t + 1.764e9, u, y)), MOTOR),
+    "each row twice": Case(_columns(lambda t, u, y: (t.repeat(2), u.repeat(2), y.repeat(2))), MOTOR, "increase"),
+    "backwards": Case(_columns(lambda t, u, y: (t[::-1], u, y)), MOTOR, "increase"),
+    "half as often from the middle on": Case(_columns(_slower), MOTOR),
+    "most samples lost": Case(_spring(_few), SPRING, "gaps"),
+    "time in microseconds": Case(_spring(lambda t, u, y: (np.round(1e6 * t), u, y)), SPRING, "microseconds"),
 }

@@ -25,7 +25,11 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
     """
     effect = np.linalg.norm(jacobian, axis=0) * scale
     if not np.isfinite(effect).all():
-        raise IdentificationError("the model's sensitivities are not finite", where, "choose another first guess")
+        raise IdentificationError(
+            "the model's sensitivities are not finite: beside the estimate it is unstable, or far faster than a step",
+            where,
+            "choose another first guess, or a structure with fewer states",
+        )
     mute = [label for label, e in zip(labels, effect, strict=True) if e <= 1e-9 * effect.max()]
     if mute:
         raise IdentificationError(

@@ -6,6 +6,7 @@ without a disturbance model). The standard deviations sigma of the outputs are e
 residual has a colour, a noise model takes it out of residual and sensitivities (`twodof.identify.disturbance`).
 """
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -47,7 +48,12 @@ _POOR = 80.0
 _COARSE_S = 0.1
 """Shortest step of a record whose time may be in another unit than seconds [s]."""
 _ASTRAY = 1.5
-"""Error of a simulation, over what moves in the output, that no right model makes."""
+_OTHER_SIZE = 1e6
+"""Model over data, at the first guess, from which on rounding hides what the other unknowns do."""
+_FAR_ASTRAY = 100.0
+"""Error of a simulation, over what moves in the output, that no right model makes; the second in closed loop."""
+_STILL_SHARE, _STILL_LEAST = 0.1, 20
+"""Equal values in a row, as a share of an output and at least, that only a sensor that has stopped shows."""
 _BETTER = 0.8
 """Residual over the present one that makes a suggestion worth its words."""
 _FAR_BETTER = 0.5
@@ -128,6 +134,7 @@ def fit(
         what = f"'{twice[0]}' is named twice in `estimate`" if twice else "`estimate` names no unknown"
         raise structure.error(what, "name each unknown once, and at least one")
     check_disturbance(disturbance, band is not None, bool(noise), where)
+    _check_distinct(structure, several)
 
     def posed(records: Sequence[Record], more: Mapping[str, float] | None = None) -> Problem:
         shape, given = structure, {**(values or {}), **(more or {})}
@@ -206,7 +213,7 @@ def fit(
         gaps=tuple(_gaps(structure, several)),
         offsets=tuple(_offsets(problem, wanted, poor)),
         model=structure,
-        suggestions=(*_in_degrees(problem), *further),
+        suggestions=(*_in_degrees(problem), *_standing_still(problem), *further),
     )
 
 
@@ -286,10 +293,12 @@ def _predicted(
 
 def _check_followed(problem: Problem, found: Disturbed) -> None:
     """Raise IdentificationError for a model whose outputs run away from the data."""
-    if found.model.kind == "walk" or (found.model.answering and found.model.kind in ("ar", "input")):
-        return  # it is judged by what it predicts: the input answers pushes that a simulation knows nothing of
+    if found.model.kind == "walk":
+        return
+    # In closed loop the model is judged by what it predicts: the input answers pushes that a simulation does not know.
+    answered = bool(found.model.answering) and found.model.kind in ("ar", "input")
     own, x = found.predictor or (problem, found.minimum.x)
-    if not astray(own, own.residual(x), _ASTRAY):
+    if not astray(own, own.residual(x), _FAR_ASTRAY if answered else _ASTRAY):
         return
     _check_stable(problem, found)
     raise problem.structure.error(
@@ -334,6 +343,15 @@ def _naming_the_unit_of_time(
                 f"if the time is in {unit}, divide it by {factor:.0f} (in a table, its heading may name the unit); "
                 "else give other first guesses",
             ) from error
+        first = posed(records)
+        far, left = "; ".join(_offsets(first, (), True)), first.residual(first.x0)
+        if far:
+            raise IdentificationError(error.what, where, far) from error
+        for block in first.blocks:
+            times = float(np.sqrt(np.mean(left[block.rows] ** 2)))
+            if _OTHER_SIZE < times < math.inf:
+                what = f"{error.what}: with the first guess {block.output} is {times:.0g} times as large as in the data"
+                raise IdentificationError(what, where, "scale the data, or give other first guesses") from error
         raise
 
 
@@ -350,7 +368,7 @@ def _offsets(problem: Problem, wanted: Collection[str], poor: bool) -> Iterator[
         far = [
             (f"{name} lies at {value.mean():.4g} +- {value.std():.2g}", unknown)
             for name, unknown, value in signals
-            if 1e-9 < value.std() / max(abs(value.mean()), 1e-300) < 1.0 / _OFFSET
+            if 1e-12 < value.std() / max(abs(value.mean()), 1e-300) < 1.0 / _OFFSET
             and (bare or unknown in structure.unknowns)
         ]
         if far:
@@ -370,6 +388,34 @@ def _in_degrees(problem: Problem) -> Iterator[str]:
                 f"{block.output} reaches {peak:.3g} {bias.unit} in '{problem.records[block.record].name}', more than "
                 "such a machine does: if it is in degrees, multiply it by pi/180"
             )
+
+
+def _standing_still(problem: Problem) -> Iterator[str]:
+    """Yield the outputs that repeat one value for long although they move otherwise."""
+    for k, block in enumerate(problem.blocks):
+        moves = np.flatnonzero(np.diff(problem.measured(k), prepend=np.nan, append=np.nan) != 0.0)
+        runs = np.diff(moves)
+        longest = int(runs.argmax())
+        size = block.rows.stop - block.rows.start
+        # A coarse signal often repeats itself: this one moves at most samples besides.
+        if runs[longest] >= max(_STILL_LEAST, _STILL_SHARE * size) and runs.size > 0.5 * (size - runs[longest]):
+            record = problem.records[block.record]
+            start, stop = record.output_time(block.output)[moves[longest] + np.array([0, runs[longest] - 1])]
+            yield (
+                f"{block.output} stands still from {start:.4g} to {stop:.4g} s in '{record.name}': if its sensor has "
+                "stopped there, leave that stretch out (Record.part, --window)"
+            )
+
+
+def _check_distinct(structure: Structure, records: Sequence[Record]) -> None:
+    """Raise IdentificationError where an output is an input: a model of it needs no data."""
+    for record in records:
+        for name, output in itertools.product(structure.inputs, structure.outputs):
+            seen, applied = record.outputs.get(output), record.inputs.get(name)
+            if seen is None or applied is None or name in structure.measured:
+                continue
+            if np.array_equal(seen.value, applied) and float(np.ptp(applied)) > 0.0:
+                raise record.error(f"the output {output} is the input {name}", "name another column for one of the two")
 
 
 def _suggestions(

@@ -183,7 +183,8 @@ class Record:
         held, gaps = {}, {}
         for channel in inputs:
             time, value = checked[channel]
-            if found := _gaps(time, float(clock[0]), float(clock[-1])):
+            rhythm = step if np.array_equal(time, checked[inputs[0]][0]) else None
+            if found := _gaps(time, float(clock[0]), float(clock[-1]), rhythm):
                 gaps[channel] = found
             middle = origin + step * (np.arange(steps) + 0.5)
             latest = np.searchsorted(time, middle, side="left") - 1
@@ -372,6 +373,8 @@ def _checked(channel: str, channels: Mapping[str, tuple[ArrayLike, ArrayLike]]) 
     where = f"channel '{channel}'"
     if channel not in channels:
         raise IdentificationError("it is not there", where, f"present are: {', '.join(sorted(channels)) or 'none'}")
+    if any(np.iscomplexobj(one) for one in channels[channel]):
+        raise IdentificationError("it is complex", where, "take its real part, or its size and phase as two columns")
     t, y = (np.asarray(one, dtype=float) for one in channels[channel])
     if t.ndim != 1 or t.shape != y.shape:
         raise IdentificationError(f"time {t.shape} and value {y.shape} are not two equal columns", where)
@@ -391,14 +394,14 @@ def _checked(channel: str, channels: Mapping[str, tuple[ArrayLike, ArrayLike]]) 
     return t, y
 
 
-def _gaps(time: Array, start: float, stop: float) -> tuple[tuple[float, float], ...]:
-    """Stretches from `start` to `stop` without `GAP` samples or more; none of a channel without a rhythm."""
+def _gaps(time: Array, start: float, stop: float, step: float | None) -> tuple[tuple[float, float], ...]:
+    """Stretches from `start` to `stop` that lack `GAP` samples or more; none without a rhythm or a `step`."""
     inside = time[(time >= start) & (time <= stop)]
     if inside.size < SHORTEST_PIECE:
         return ()
     interval = np.diff(inside)
-    usual = float(np.median(interval))
-    if np.mean(interval > 1.5 * usual) > 0.1:
+    usual = step or float(np.median(interval))
+    if step is None and np.mean(interval > 1.5 * usual) > 0.1:
         return ()
     return tuple((float(inside[k]), float(inside[k + 1])) for k in np.flatnonzero(interval > (GAP + 0.5) * usual))
 
@@ -432,6 +435,10 @@ def _counted(clock: Array, interval: Array, step: float) -> Array:
     """
     whole = np.maximum(1.0, np.round(interval / step))
     if np.abs(interval / step - whole).max() < _JITTER:
+        return np.concatenate([[0.0], np.cumsum(whole)])
+    # Where more than half of the samples are lost, the shortest interval is the step.
+    whole = np.round(interval / interval.min())
+    if np.abs(interval / interval.min() - whole).max() < _JITTERY:
         return np.concatenate([[0.0], np.cumsum(whole)])
     mean = float(interval.mean())
     step = mean if abs(mean - step) < _FEW_LOST * step else step

@@ -4,6 +4,7 @@ A subclass gives A, B, C and D in terms of its parameters. `prepare` turns them 
 parameter changes, so that one compiled program serves a whole estimation; a step is then a few multiplications.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -149,7 +150,7 @@ def held(a: Matrix, b: Matrix, dt: Any) -> tuple[list[Any], list[Any]]:
     for row in a:
         norm = maximum(norm, dt * total([abs(value) for value in row]))
     stiff = norm > _LARGEST
-    h = where(stiff, dt * 2.0**-_DOUBLINGS, dt)
+    h = where(norm > _LARGEST * 2.0**_DOUBLINGS, math.nan, where(stiff, dt * 2.0**-_DOUBLINGS, dt))
 
     def step(k: Any, *carried: Any) -> list[Any]:
         now, after = h / (_TERMS - to_real(k)), h / (_TERMS + 1.0 - to_real(k))
