@@ -13,7 +13,8 @@ from twodof.models import Structure
 
 FILE = Path(os.environ.get("TWODOF_BENCHMARK_DATA", ".")) / "dataBenchmark.csv"
 if not FILE.is_file():
-    print("let TWODOF_BENCHMARK_DATA name the folder with dataBenchmark.csv (nonlinearbenchmark.org, Cascaded Tanks)")
+    print("let TWODOF_BENCHMARK_DATA name the folder with dataBenchmark.csv, from nonlinearbenchmark.org, or from")
+    print("github.com/MiladBnit/Uncertainty-quantification-in-neural-state-space-models-applications")
     sys.exit()
 
 

@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
         (
             "silverbox",
             "SNLS80mV.csv",
-            {"test": 0.30, "arrow": 0.40, "arrow, no extrapolation": 0.32},
+            {"test": 0.25, "arrow": 0.30, "arrow, no extrapolation": 0.24},
         ),
         # [V]; the physical models that have been published have .2 to .4.
         ("cascaded_tanks", "dataBenchmark.csv", {"test": 0.24}),
@@ -28,7 +28,9 @@ def test_the_example_predicts_the_test_data(
 ) -> None:
     folder = os.environ.get("TWODOF_BENCHMARK_DATA", "")
     if not folder or not (Path(folder) / file).is_file():
-        pytest.skip(f"let TWODOF_BENCHMARK_DATA name the folder with {file}")
+        with pytest.raises(SystemExit):
+            runpy.run_path(str(EXAMPLES / f"{example}.py"), run_name="__main__")
+        pytest.skip(capsys.readouterr().out)  # where the data are to be had
     runpy.run_path(str(EXAMPLES / f"{example}.py"), run_name="__main__")
     printed = dict(re.findall(r"^([\w, ]+): RMSE ([\d.]+)", capsys.readouterr().out, flags=re.MULTILINE))
     for name, limit in most.items():
