@@ -118,3 +118,12 @@ def test_an_empty_window_says_what_there_is() -> None:
 def test_a_window_before_an_input_is_refused() -> None:
     with pytest.raises(IdentificationError, match="channel 'late': no sample at or before"):
         Record.from_channels({"u": (T, T), "late": (T + 0.1, T), "y": (T, T)}, ["u", "late"], ["y"])
+
+
+def test_two_stamps_close_together_are_not_the_step() -> None:
+    """Whole milliseconds, 20 +- 8 ms apart, and two of them 1 ms apart."""
+    ticks = 20.0 * np.arange(400) + np.random.default_rng(5).integers(-4, 5, 400)
+    ticks[200] = ticks[199] + 1.0
+    record = Record.from_columns(1e-3 * ticks, {"u": ticks, "y": ticks}, ["u"], ["y"])
+    assert record.dt == pytest.approx(0.02, rel=1e-3)  # the stamps' jitter over 8 s is .5 in 1,000 of a step
+    assert not record.gaps

@@ -422,6 +422,11 @@ def _wide(u: np.ndarray) -> np.ndarray:
             lambda a: a >> 1 & 15,
         ),
         ("Switch", {"Criteria": "u2 ~= 0"}, lambda a, b, c: np.where(b, a, c)),
+        (
+            "MultiPortSwitch",
+            {"Inputs": "2", "DataPortOrder": "Zero-based contiguous"},
+            lambda a, b, c: np.where(a, c, b),
+        ),
     ],
 )
 def test_bits_of_whole_numbers_are_taken_and_joined(
@@ -431,3 +436,13 @@ def test_bits_of_whole_numbers_are_taken_and_joined(
     given = [WHOLE[0], WHOLE[1], DRAWN[0]][:count]
     kinds = ("uint8", "uint8", "double")[:count]
     assert np.array_equal(run(one_block(tmp_path, kind, values, kinds), given), wanted(*map(_wide, given)))
+
+
+def test_a_sine_takes_its_time_from_a_signal_and_a_delay_its_length_from_the_dialog(tmp_path: Path) -> None:
+    values = {"TimeSource": "Use external signal", "Amplitude": "2", "Bias": "1", "Frequency": "3", "Phase": ".5"}
+    found = run(one_block(tmp_path, "Sin", values, ("double",)), [DRAWN[0]])
+    assert np.allclose(
+        found, 2.0 * np.sin(3.0 * DRAWN[0] + 0.5) + 1.0, rtol=0.0, atol=1e-14
+    )  # a few units in the last place
+    late = one_block(tmp_path, "simulink/Discrete/Integer Delay", {"NumDelays": "3", "vinit": "7"}, ("double",))
+    assert np.array_equal(run(late, [DRAWN[0]]), np.r_[7.0, 7.0, 7.0, DRAWN[0][:-3]])

@@ -172,13 +172,13 @@ def test_a_pid_of_two_degrees_of_freedom_weighs_its_set_point_and_clamps_its_int
     assert {-3.0, 3.0} < set(wanted)
 
 
-@pytest.mark.parametrize("ported", [False, True])
-def test_a_transposed_filter_filters_as_scipy_does(tmp_path: Path, ported: bool) -> None:
+@pytest.mark.parametrize("ported", [0, 1, 2])
+def test_a_transposed_filter_filters_as_scipy_does(tmp_path: Path, ported: int) -> None:
     top, bottom = [0.5, 0.2, -0.1], [1.0, -1.2, 0.5]
     values = {"FilterStructure": "Direct form II transposed", "Denominator": str(bottom), "Numerator": str(top)}
     rows = [DRAWN[0]]
-    if ported:
-        values["NumeratorSource"] = "Input port"
-        rows.append(np.tile(top, (len(DRAWN[0]), 1)))
+    for name, given in list(zip(("Numerator", "Denominator"), (top, bottom), strict=True))[:ported]:
+        values[f"{name}Source"] = "Input port"
+        rows.append(np.tile(given, (len(DRAWN[0]), 1)))
     found = run(tmp_path, "DiscreteFilter", values, rows)["y1"]
     assert np.allclose(found, lfilter(top, bottom, DRAWN[0]), rtol=0.0, atol=1e-12)  # scipy rounds in another order

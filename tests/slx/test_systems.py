@@ -197,6 +197,26 @@ def test_conditions_without_an_equivalent_are_refused_by_path(tmp_path: Path) ->
     }
 
 
+def test_an_enable_port_shows_what_enables_its_subsystem(tmp_path: Path) -> None:
+    """Inside, an output holds the last enabling value."""
+    shown: Blocks = [("EnablePort", "e", {"ShowOutputPort": "on"}), ("Outport", "seen", {"Port": "2"})]
+    inside: tuple[Blocks, Lines] = ([*COUNT, ("Outport", "out", {}), *shown], [*COUNTED, ("e", "seen")])
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("Inport", "control", {"Port": "2", **REAL}),
+        ("SubSystem", "counts", {"Ports": "[1, 2, 1]"}, inside),
+        ("Outport", "y", {}),
+        ("Outport", "z", {"Port": "2"}),
+    ]
+    lines: Lines = [("u", "counts"), ("control", "counts#enable"), ("counts:1", "y"), ("counts:2", "z")]
+    found = flown(imported(tmp_path, blocks, lines), u=DRAWN[0], control=DRAWN[1])
+    last, wanted = 0.0, []
+    for value in DRAWN[1]:
+        last = value if value > 0.0 else last
+        wanted.append(last)
+    assert np.array_equal(found["z"], wanted)
+
+
 def test_blocks_of_several_sample_times_run_at_their_own_ticks(tmp_path: Path) -> None:
     blocks: Blocks = [
         ("Inport", "u", REAL),

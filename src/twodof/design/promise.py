@@ -53,6 +53,11 @@ def interval(values: Array, level: float) -> tuple[float, float, float]:
     return low, middle, high
 
 
+def bounded(response: Array) -> Array:
+    """Return a response with its values within 1e6, so that one that diverges has a band too."""
+    return np.clip(np.nan_to_num(response, nan=1e6), -1e6, 1e6)
+
+
 def step_bands(flown: Mapping[str, Array], level: float) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
     """Return the bands (low, middle, high), each by channel (steps,), of the responses `flown`, by channel (steps, n).
 
@@ -276,7 +281,7 @@ class Promise:
         flown: Mapping[str, Array],
     ) -> Self:
         """Return the promise made from simulated flights: `flown` has each channel, shape (steps, members)."""
-        flown = {name: np.clip(np.nan_to_num(flown[name], nan=1e6), -1e6, 1e6) for name in STEPS[loop].channels}
+        flown = {name: bounded(flown[name]) for name in STEPS[loop].channels}
         low, middle, high = step_bands(flown, level)
         figures = {name: interval(values, level) for name, values in step_figures(flown, loop, goal).items()}
         count = next(iter(flown.values())).shape[1]
@@ -464,12 +469,12 @@ def promise(
     `progress` is called with the share done. Raise ParameterError for numbers out of range.
     """
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
-    loop, flown = flown_steps(controller, family, goal, duration, members, seed, progress)
+    loop, flown = simulated_steps(controller, family, goal, duration, members, seed, progress)
     unstable = float(np.mean(loop.radii() >= 1.0))
     return Promise.of_flights(name, family.to_json(), "attitude", goal, level, seed, unstable, flown)
 
 
-def flown_steps(
+def simulated_steps(
     controller: SampledController,
     family: PitchFamily,
     goal: float = GOAL,
@@ -496,8 +501,7 @@ def flown_steps(
         # What an earlier step leaves, 2 s later: none, one the other way, or one the same way.
         left = np.resize(_EARLIER, members)
         theta, q, moment = theta + left * (before[0] - goal), q + left * before[1], moment + left * earlier
-    flown = {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}
-    return loop, {name: np.clip(np.nan_to_num(one, nan=1e6), -1e6, 1e6) for name, one in flown.items()}
+    return loop, {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}
 
 
 def check_numbers(duration: float, level: float, members: int, among: tuple[int, int]) -> None:

@@ -13,7 +13,17 @@ from twodof.blocks.schema.json_form import from_json
 from twodof.design.margins import LoopMargins, margins
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PITCH_LOOPS, PitchLoop, pitch_loops
-from twodof.design.promise import CHANNELS, GOAL, LEVEL, Promise, flown_steps, interval, promise, step_bands
+from twodof.design.promise import (
+    CHANNELS,
+    GOAL,
+    LEVEL,
+    Promise,
+    bounded,
+    interval,
+    promise,
+    simulated_steps,
+    step_bands,
+)
 from twodof.design.robustness import Robustness, robustness
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
@@ -202,10 +212,10 @@ class PitchLaw:
 
     def step(self, family: PitchFamily, goal: float) -> dict[str, Any]:
         """Return the band of a step of theta by `goal` [rad] alone, of fewer members, without margins and verdict."""
-        _, flown = flown_steps(self.controller, family, goal, members=QUICK)
-        sides = zip(("low", "middle", "high"), step_bands({"theta": flown["theta"]}, LEVEL), strict=True)
+        theta = bounded(simulated_steps(self.controller, family, goal, members=QUICK)[1]["theta"])
+        sides = zip(("low", "middle", "high"), step_bands({"theta": theta}, LEVEL), strict=True)
         band = {side: _rounded(_cut(rows)["theta"]) for side, rows in sides}
-        time = np.arange(len(flown["theta"]), dtype=np.float64) * PERIOD
+        time = np.arange(len(theta), dtype=np.float64) * PERIOD
         return {"goal": goal, "level": LEVEL, "time": _rounded(time), "bands": {"theta": band}}
 
     def verdict(self, family: PitchFamily) -> Robustness:

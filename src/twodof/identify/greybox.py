@@ -47,11 +47,10 @@ _POOR = 80.0
 """FIT [%] below which an offset that the structure has no unknown for is named."""
 _COARSE_S = 0.1
 """Shortest step of a record whose time may be in another unit than seconds [s]."""
-_ASTRAY = 1.5
+_ASTRAY, _FAR_ASTRAY = 1.5, 100.0
+"""Error of a simulation, over what moves in the output, that no right model makes; the second in closed loop."""
 _OTHER_SIZE = 1e6
 """Model over data, at the first guess, from which on rounding hides what the other unknowns do."""
-_FAR_ASTRAY = 100.0
-"""Error of a simulation, over what moves in the output, that no right model makes; the second in closed loop."""
 _STILL_SHARE, _STILL_LEAST = 0.1, 20
 """Equal values in a row, as a share of an output and at least, that only a sensor that has stopped shows."""
 _BETTER = 0.8

@@ -28,6 +28,8 @@ _JITTERY = 0.05
 """Standard deviation of the stamps about the grid [steps] from which on an input moves within steps."""
 
 _JITTER, _FEW_LOST, _FOLLOWED = 0.3, 0.05, 0.1
+_MANY_SHORTEST = 0.2
+"""Share of the intervals that are the shortest one, from which on it counts as the step."""
 """Jitter [steps] from which on stamps are counted one by one; share of lost samples that may pass for another step; and
 how far the clock follows each stamp."""
 
@@ -436,9 +438,9 @@ def _counted(clock: Array, interval: Array, step: float) -> Array:
     whole = np.maximum(1.0, np.round(interval / step))
     if np.abs(interval / step - whole).max() < _JITTER:
         return np.concatenate([[0.0], np.cumsum(whole)])
-    # Where more than half of the samples are lost, the shortest interval is the step.
+    # Where more than half of the samples are lost, the shortest interval is the step, unless it is an odd one out.
     whole = np.round(interval / interval.min())
-    if np.abs(interval / interval.min() - whole).max() < _JITTERY:
+    if np.abs(interval / interval.min() - whole).max() < _JITTERY and np.mean(whole == 1.0) > _MANY_SHORTEST:
         return np.concatenate([[0.0], np.cumsum(whole)])
     mean = float(interval.mean())
     step = mean if abs(mean - step) < _FEW_LOST * step else step

@@ -627,6 +627,7 @@ class _Import(Wiring):
             self.held[key] = before
             return Made(late, [one])
         self.held[key] = BASE
+        c.notes.append("passes a slower value on a tick later, as MathWorks' multitasking code does")
         d = Diagram("transition")
         d.input("u", one.kind, one.width)
         d.add("held", ZeroOrderHold(one.kind, one.width), rate=before, u="u")

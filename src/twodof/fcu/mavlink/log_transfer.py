@@ -5,11 +5,12 @@ is numbered from 0 as in PX4. It is valid until the client requests another, so 
 written or deleted. A log that is being written keeps its size in the list. The client requests lost parts again.
 Another thread reads the file, which is sent in portions.
 
-A stream lasts
-from MAV_CMD_LOGGING_START (2510) until MAV_CMD_LOGGING_STOP (2511). The head of the log comes in LOGGING_DATA_ACKED,
-one at a time, repeated until LOGGING_ACK comes; the records come in LOGGING_DATA, once. Each says where its first log
-message begins, so that a client that lost one can go on reading. One client at a time gets a log that begins with its
-request, for as long as the client is heard. Sources: the dialect of these messages; PX4, mavlink_ulog.cpp.
+A stream lasts from MAV_CMD_LOGGING_START (2510) until MAV_CMD_LOGGING_STOP (2511). The head of the log comes in
+LOGGING_DATA_ACKED, one at a time, repeated until LOGGING_ACK comes; the records come in LOGGING_DATA, once. Each says
+where its first log message begins, so that a client that lost one can go on reading. One client at a time gets a log
+that begins with its request, for as long as the client is heard.
+
+Sources: the dialect of these messages; PX4, mavlink_ulog.cpp.
 """
 
 from collections import OrderedDict

@@ -202,10 +202,11 @@ class Evaluation:
 
 def _operations(name: str, values: Sequence[Value]) -> float:
     """Return how many operations on elements an operator or a function of these values takes, about."""
-    sizes = [float(one.size) for one in values if isinstance(one, np.ndarray)]
+    arrays = [one for one in values if isinstance(one, np.ndarray)]
+    sizes = [float(one.size) for one in arrays]
     if len(sizes) < 2 or (min(sizes) == 1.0 and name != "^"):
         return sum(sizes)
-    a, b = (one for one in values[:2] if isinstance(one, np.ndarray))
+    a, b = arrays[:2]
     if name == "^":
         power = 1.0 if is_signal(b) else abs(float(b.flat[0]))
         return float(a.shape[0]) ** 3 * power if a.size > 1 else power
