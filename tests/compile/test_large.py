@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import resource
 from pathlib import Path
 
@@ -67,7 +68,7 @@ def build_s(d: Diagram, target: str) -> float:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("target", "blocks"), [("native", 300), ("wasm", 900), pytest.param("native", 900, marks=pytest.mark.soak)]
+    ("target", "blocks"), [("native", 300), ("wasm", 1200), pytest.param("native", 900, marks=pytest.mark.soak)]
 )
 def test_many_blocks_are_emitted_compiled_and_cached(
     target: str, blocks: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -80,6 +81,14 @@ def test_many_blocks_are_emitted_compiled_and_cached(
     assert isinstance(program, CompiledProgram)
     assert len(program.machine().run(100, {"r": 1.0})["y"]) == 100
     assert first < 6.0, f"{first:.2f} s"  # the aim is 3 s; a core that others load is half as fast
-    again, least = (min(build_s(one, target) for _ in range(3)) for one in (d, third))
-    # 3 times is linear, 9 times quadratic.
+    # In turn, so that a slow moment of the machine meets both; without the garbage collector, whose full rounds cost by
+    # what earlier tests left in the process, and fall into the longer build.
+    gc.collect()
+    gc.disable()
+    try:
+        pairs = [(build_s(d, target), build_s(third, target)) for _ in range(5)]
+    finally:
+        gc.enable()
+    again, least = map(min, zip(*pairs, strict=True))
+    # 3 times is linear, 9 times quadratic. Beyond 300 blocks the C is split, which costs 10 % once: 400 beside 1,200.
     assert again < 5.0 * least, f"{again:.2f} s, a third of the blocks {least:.2f} s"
