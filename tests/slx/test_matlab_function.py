@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.slx.test_matlab import octave
 from twodof.blocks import Bus, Diagram, Port
@@ -180,7 +181,8 @@ end
 FUNCTIONS = """function y = f(u, v)
 [m, at] = max(v); [n, low] = min(abs(v));
 [r, c] = size(v);
-y = [m; at; n; low; r; c; mod(u, 2*pi); rem(u, .7); mod(-u, 3); mod(u, 0); rem(u*100, 7); fix(u); round(u); sign(v);
+y = [m; at; n; low; r; c; mod(u, 2*pi); rem(u, .7); mod(-u, 3); mod(u, 0); rem(u*100, 7); mod(u / 0, .7);
+     rem(u / 0, .7); mod(u * NaN, .7); fix(u); round(u); sign(v);
      atan2(u, v(1)); exp(u)^2; u^3; abs(u)^.5; 2^u; hypot(u, 3); tanh(u); max(u, NaN); min([NaN; v]); isnan(u / 0);
      max(v(1), v(2)); any(v > 1); all(v > -1); xor(u > 0, v(1) > 0); sqrt(abs(u)); floor(-u); ceil(u); numel(v);
      interp1([-1 0 2], [5 6 -2], max(min(u, 2), -1)); logical(v(1)); double(u > 0) * 2; cosh(u); deg2rad(u)];
@@ -221,10 +223,48 @@ end
 end
 """
 
+HANDLES = """function [y, z] = f(u, v)
+k = 3; S = @(p) [0 -p(3) p(2); p(3) 0 -p(1); -p(2) p(1) 0];
+k = 100; g = @(a, b) a * b + k * (a > 0 && b > 0);
+h = @twice; c = {@sin, @(x) x + 1};
+y = [S(v) * v; g(u, v(1)); h(u); feval(h, v(2)); feval('twice', 2 * u); applied(@(x) g(x, 2), u); c{2}(u); c{1}(u)];
+[z, w] = applied(h, v(3)); z = z + w;
+end
+function r = twice(x)
+persistent n
+if isempty(n), n = 0; end
+n = n + 1; r = 2 * x + n;
+end
+function [r, s] = applied(f, x)
+r = f(x) - 1; s = f(r);
+end
+"""
+
+ANGLES = """function y = f(u, v, q)
+w = 97 * v; n = 90 * double(q);
+y = [sind(w); cosd(w); tand(w); asind(v / 20); acosd(v / 20); atand(w); atan2d(u, v); sec(u); csc(u); cot(u);
+     sind(n); cosd(n); sind(-n); cosd([30; 60; 180; 270]); sind(30); sind([NaN; Inf]); atan2d(-0, -1); tand(45)];
+end
+"""
+
+MORE = """function y = f(u, v, M)
+A = M * M' + eye(2); B = [v v([2 3 1]) v([3 1 2])]; P = B' * B + eye(3);
+k = find([0 3 0 -1]); w = tril(P) - triu(B, 1);
+y = [norm(v, 1); norm(M, 'fro'); reshape(chol(A), [], 1); reshape(chol(P, 'lower'), [], 1); nnz(v > 0);
+     nnz([v; 0; NaN]); realsqrt(u^2); linsolve(A, [u; 1]); v(k - 1); find([1; 0; 1], 1); numel(k); w(:);
+     circshift(v, 1); horzcat(v', u)';
+     vertcat(v, u, 7); isreal(v) + isscalar(u) + isvector(v) + isrow(v) + iscolumn(v) + isnumeric(u);
+     size(find(1 > 2))'];
+end
+"""
+
 
 @pytest.mark.parametrize(
     ("code", "signals"),
     [
+        (HANDLES, [REAL, VECTOR]),
+        (ANGLES, [REAL, VECTOR, Signal("int8")]),
+        (MORE, [REAL, VECTOR, MATRIX]),
         (BRANCHES, [REAL, VECTOR]),
         (SWITCH, [REAL, VECTOR]),
         (INTEGERS, [Signal("int8"), Signal("int8"), Signal("uint16"), REAL]),
@@ -234,7 +274,19 @@ end
         (EARLY, [REAL]),
         (BITS, [Signal("uint8"), Signal("uint8"), Signal("uint16"), Signal("int32")]),
     ],
-    ids=["branches", "switch", "integers", "matrices", "indices", "functions", "early", "bits"],
+    ids=[
+        "handles",
+        "angles",
+        "more",
+        "branches",
+        "switch",
+        "integers",
+        "matrices",
+        "indices",
+        "functions",
+        "early",
+        "bits",
+    ],
 )
 def test_a_function_has_octaves_values_at_each_step(code: str, signals: list[Signal], tmp_path: Path) -> None:
     assert_octaves(code, signals, tmp_path)
@@ -282,6 +334,10 @@ def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
+        ("g = @(a) a; y = g(u, u);", "line 2: the function takes 1 arguments and gives one value"),
+        ("g = @(h) h(h); y = g(g) + u;", "functions call each other too deep"),
+        ("g = @svd; y = g(u);", "line 2: svd is not computed"),
+        ("y = quat2eul([u 0 0 1], 'XYZ');", "line 2: quat2eul.m, line 3: quat2eul_of_another_sequence is not computed"),
         ("y = svd(u);", "line 2: svd is not computed"),
         ("for k = 1:u, y = k; end", "line 2: a range whose bounds are signals"),
         ("while u > 0, u = u - 1; end, y = u;", "line 2: how often the loop turns depends on signals"),
@@ -311,6 +367,75 @@ def test_what_is_left_out_or_approximated_is_noted() -> None:
     assert [port.kind for port in block.outputs] == ["real"]
     block = MatlabFunction("function [y, z] = f(u)\ny = [u u]; z = [u; u];", [REAL])
     assert block.notes == ["the row y is a vector, which other MATLAB Functions see as a column"]
+
+
+def test_wrapped_angles_keep_the_sign_of_their_bound() -> None:
+    given = np.array([0.0, -0.0, 90.0, 180.0, -180.0, 181.0, 360.0, -360.0, 540.0, -540.0, 720.0, -1.0, np.nan])
+    inputs = [np.resize(given, STEPS)]
+    _, found = flown("function [y, z] = f(u)\ny = wrapTo180(u); z = wrapTo360(u);", [REAL], inputs)
+    nan, half = np.nan, [0.0, 0.0, 90.0, 180.0, -180.0, -179.0, 0.0, 0.0, 180.0, -180.0, 0.0, -1.0]
+    whole = [0.0, 0.0, 90.0, 180.0, 180.0, 181.0, 360.0, 0.0, 180.0, 180.0, 360.0, 359.0]
+    assert np.array_equal(found["y"][: len(given)], [*half, nan], equal_nan=True)
+    assert np.array_equal(found["z"][: len(given)], [*whole, nan], equal_nan=True)
+    radians = [np.deg2rad(one) for one in inputs]
+    _, turned = flown("function [y, z] = f(u)\ny = wrapToPi(u); z = wrapTo2Pi(u);", [REAL], radians)
+    assert np.allclose(np.rad2deg(turned["y"]), found["y"], equal_nan=True)
+    assert np.allclose(np.rad2deg(turned["z"]), found["z"], equal_nan=True)
+
+
+ANGLES_OF, QUATERNION, TURN = Signal("real", 3), Signal("real", 4), Signal("real", 9, (3, 3))
+
+
+@pytest.mark.parametrize("sequence", ["ZYX", "XYZ", "ZYZ", "zxy"])
+def test_angles_turn_about_the_axes_of_their_sequence(sequence: str) -> None:
+    angles = np.random.default_rng(2).uniform(-1.5, 1.5, (STEPS, 3))
+    turn = Rotation.from_euler(sequence.upper(), angles)
+    code = f"""function [R, q, C, p] = f(a)
+    R = eul2rotm(a', '{sequence}'); q = eul2quat(a', '{sequence}');
+    C = angle2dcm(a(1), a(2), a(3), '{sequence}'); p = angle2quat(a(1), a(2), a(3), '{sequence}');"""
+    _, found = flown(code, [ANGLES_OF], [angles])
+    quaternion = turn.as_quat(scalar_first=True)
+    assert np.allclose(found["R"], turn.as_matrix(), atol=1e-14)
+    assert np.allclose(found["C"], turn.inv().as_matrix(), atol=1e-14)
+    assert np.allclose(np.abs(np.sum(found["q"] * quaternion, axis=1)), 1.0, atol=1e-14)
+    assert np.array_equal(found["p"], found["q"])
+
+
+def test_rotations_and_quaternions_are_those_of_scipy() -> None:
+    draw = np.random.default_rng(3)
+    angles, (q, r), v = (
+        draw.uniform(-1.5, 1.5, (STEPS, 3)),
+        draw.normal(0.0, 2.0, (2, STEPS, 4)),
+        np.eye(3)[[0, 1, 2] * 20],
+    )
+    turn = [Rotation.from_euler(one, angles).as_matrix() for one in ("ZYX", "XYZ")]
+    code = "function [y, z] = f(a, b)\ny = rotm2eul(a); z = rotm2eul(b, 'XYZ');"
+    _, found = flown(code, [TURN, TURN], turn)
+    assert np.allclose(found["y"], angles, atol=1e-13)
+    assert np.allclose(found["z"], angles, atol=1e-13)
+    code = """function [R, e, p, i, t, n, C] = f(q, r, v)
+    q = q'; R = quat2rotm(q); e = quat2eul(q); p = quatmultiply(q, r'); i = quatmultiply(quatinv(q), q);
+    t = quatrotate(q, v'); n = [quatnorm(q), quatmod(q)^2, quatmod(quatnormalize(q)), quatconj(q)]; C = quat2dcm(q);"""
+    _, found = flown(code, [QUATERNION, QUATERNION, ANGLES_OF], [q, r, v])
+    one, other = (Rotation.from_quat(given, scalar_first=True) for given in (q, r))
+    sizes = np.linalg.norm(q, axis=1)
+    assert np.allclose(found["R"], one.as_matrix(), atol=1e-13)
+    assert np.allclose(found["C"], one.inv().as_matrix(), atol=1e-13)
+    assert np.allclose(found["e"], one.as_euler("ZYX"), atol=1e-12)
+    assert np.allclose(found["i"], np.eye(4)[0], atol=1e-13)
+    assert np.allclose(found["t"], one.inv().apply(v), atol=1e-13)
+    assert np.allclose(found["n"], np.column_stack([sizes**2, sizes**2, sizes**0, q * [1, -1, -1, -1]]), atol=1e-12)
+    product = (one * other).as_quat(scalar_first=True) * (sizes * np.linalg.norm(r, axis=1))[:, None]
+    assert np.allclose(found["p"] * np.sign(found["p"][:, :1]), product * np.sign(product[:, :1]), atol=1e-12)
+
+
+def test_angles_where_two_axes_meet_are_still_those_of_the_turn() -> None:
+    angles = np.resize([[0.3, np.pi / 2, 0.5], [0.3, -np.pi / 2, 0.5]], (STEPS, 3))
+    code = "function [R, S] = f(a)\nR = eul2rotm(a') - eul2rotm(rotm2eul(eul2rotm(a')));\n"
+    code += "S = eul2rotm(a', 'XYZ') - eul2rotm(rotm2eul(eul2rotm(a', 'XYZ'), 'XYZ'), 'XYZ');"
+    _, found = flown(code, [ANGLES_OF], [angles])
+    assert np.allclose(found["R"], 0.0, atol=1e-14)
+    assert np.allclose(found["S"], 0.0, atol=1e-14)
 
 
 def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ structure and `list` for a cell array.
 
 import math
 import re
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -187,6 +187,18 @@ class Evaluation:
     ends: list[tuple[Array, int, int]] = field(default_factory=list)
     """What `end` stands for: the array that is indexed, which index, and of how many."""
 
+    def apart(self, names: Mapping[str, Value], run: Callable[["Evaluation"], Value]) -> tuple[Value, dict[str, Value]]:
+        """Carry out `run` on names of its own; return its value, and the names after it.
+
+        The values that functions keep between their calls, and the counts, are shared.
+        """
+        kept = {name: value for name, value in self.names.items() if "." in name}
+        inner = Evaluation({**kept, **names}, self.steps, self.on_signals)
+        value = run(inner)
+        self.steps, self.on_signals = inner.steps, inner.on_signals
+        self.names.update({name: value for name, value in inner.names.items() if "." in name})
+        return value, dict(inner.names)
+
     def count(self) -> None:
         """Count an operation. Raises NotComputed for one too many."""
         self.steps += 1
@@ -309,18 +321,18 @@ class EvaluatingParser:
             self.at += 1
             short = operator in ("&&", "||") and not (self.matrix or is_signal(left))
             if short and bool(as_array(left).all()) == (operator == "||"):
-                self.pass_over()
+                self.pass_over("&&", "||")  # not computed where the first condition decides
                 left = np.array([[operator == "||"]])
             else:
                 left = self.apply(operator, left, self.binary(level + 1))
         return left
 
-    def pass_over(self) -> None:
-        """Pass over the second condition of a && or ||, which is not computed where the first one decides."""
+    def pass_over(self, *operators: str) -> None:
+        """Pass over an expression up to one of these operators, or to its end."""
         depth = 0
         while self.here.kind != "end":
             text = self.here.text if self.here.kind == "operator" else ""
-            ends = self.here.kind == "line" or text in (",", ";", ")", "]", "}", "&&", "||")
+            ends = self.here.kind == "line" or text in (",", ";", ")", "]", "}", *operators)
             if depth == 0 and ends:
                 return
             depth += int(text in ("(", "[", "{")) - int(text in (")", "]", "}"))
@@ -408,7 +420,8 @@ class EvaluatingParser:
         while True:
             here = self.here
             if here.text == "(" and here.kind == "operator" and not (self.matrix and here.spaced):
-                value = indexed(value, self.arguments(value))
+                given = self.arguments(value)
+                value = value(self, given) if callable(value) else indexed(value, given)
             elif here.text == "{" and here.kind == "operator" and not (self.matrix and here.spaced):
                 self.at += 1
                 index = int(scalar(self.expression()))

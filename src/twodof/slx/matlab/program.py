@@ -5,8 +5,9 @@ Where a condition is a signal both branches are carried out, and each name gets 
 does not hold. Loops have constant ranges and are written out.
 """
 
+import copy
 from collections import Counter
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from twodof.slx.matlab.evaluation import (
     script_text,
     tokens_of,
 )
+from twodof.slx.matlab.rotations import ROTATIONS
 from twodof.slx.matlab.signals import truth
 from twodof.slx.matlab.values import (
     Array,
@@ -46,7 +48,9 @@ _CLAUSES = {"elseif", "else", "case", "otherwise", "catch"}
 _WORDS = _OPENING | _CLAUSES | {"end"}
 _LEAVING = {"return": "#return", "break": "#break", "continue": "#continue"}
 """The names that say under which condition the statements after one of these are left out."""
-_SILENT = {"assert", "error", "coder.inline", "coder.extrinsic", "coder.allowpcode", "coder.varsize", "coder.unroll"}
+_SILENT = {"assert", "error", "pause", "drawnow", "eml.extrinsic", "eml.inline"} | {
+    f"coder.{name}" for name in ("inline", "extrinsic", "allowpcode", "varsize", "unroll", "cstructname", "cinclude")
+}
 
 
 class NotTranslatedLine(NotComputed):
@@ -120,18 +124,19 @@ class Code:
         self.functions = {one.name: one for one in made}
 
     def file(self, name: str) -> "Code | None":
-        """Return the code of NAME.m in one of the folders; None where there is none."""
+        """Return the code of NAME.m in one of the folders, or of a known toolbox; None where there is none."""
         if name not in self.files:
             candidates = (one / f"{name}.m" for one in self.folders) if name.isidentifier() else ()
             path = next((one for one in candidates if one.is_file()), None)
+            text = ROTATIONS.get(name)
             self.files[name] = None
-            if path is not None:
+            if path is not None or text is not None:
                 try:
-                    made = Code(fence.read(script_text, path)[0], self.folders)
+                    made = Code(str(text) if path is None else fence.read(script_text, path)[0], self.folders)
                 except LogError as reason:
                     raise NotComputed(str(reason)) from None
                 except NotComputed as reason:
-                    raise NotComputed(f"{path.name}: {reason}") from None
+                    raise NotComputed(f"{name}.m: {reason}") from None
                 made.files, made.initial, made.notes, made.known = self.files, self.initial, self.notes, self.known
                 made.prefix = f"{name}/"
                 self.files[name] = made
@@ -444,11 +449,45 @@ class Program(EvaluatingParser):
 
     def primary(self) -> Value:
         """Return a value; a persistent variable has one after its first assignment."""
+        if self.skip("@"):
+            return self._handle()
         name = self.here.text if self.here.kind == "name" else ""
         value = super().primary()
         if name in self.persistent and is_empty(value):
             raise NotComputed(f"{name} is read before it has a value")
         return value
+
+    def _handle(self) -> Callable[..., Value]:
+        """Return the function of `@name`, or of `@(a, b) expression` with the names as they are now."""
+        names = {one: value for one, value in self.evaluation.names.items() if one.isidentifier()}
+        start, arguments = self.at, list[str]()
+        if self.skip("("):
+            while not self.skip(")"):
+                arguments.append(self.here.text)
+                self.at += 1
+                self.skip(",")
+            start = self.at
+            self.pass_over()
+        else:
+            self.at += 1
+
+        def called(caller: "Program", given: list[Value], count: int = 1) -> Value:
+            inner = copy.copy(self)
+            inner.at, inner.depth, inner.calls, inner.evaluation = start, 0, caller.calls + 1, caller.evaluation
+            if inner.calls > DEEPEST_CALLS:
+                raise NotComputed("functions call each other too deep")
+            if self.tokens[start - 1].text == "@":
+                return inner.called(self.tokens[start].text, given, True, count)
+            if len(given) > len(arguments) or count > 1:
+                raise NotComputed(f"the function takes {len(arguments)} arguments and gives one value")
+
+            def run(evaluation: Evaluation) -> Value:
+                inner.evaluation, inner.matrix = evaluation, False
+                return inner.expression()
+
+            return caller.evaluation.apart({**names, **dict(zip(arguments, given, strict=False))}, run)[0]
+
+        return called
 
     def function(self) -> Value:
         """Call a function; `isempty` looks at a persistent variable without reading it."""
@@ -462,6 +501,10 @@ class Program(EvaluatingParser):
         """Call a function of the program, or one of MATLAB's."""
         if name == "exist" and arguments:
             return np.array([[float(arguments[0] in self.evaluation.names)]])
+        name, arguments = (arguments[0], arguments[1:]) if name == "feval" and arguments else (name, arguments)
+        held = self.evaluation.names.get(name) if isinstance(name, str) else name
+        if callable(held):
+            return held(self, arguments, count)
         if name == "single" or "single" in [one for one in arguments if isinstance(one, str)]:
             self.code.notes.append("single: computed in the precision of the build")
         code, function = self.code, self.code.functions.get(name)
@@ -473,7 +516,10 @@ class Program(EvaluatingParser):
             return super().called(name, arguments, bracket, count)
         if len(arguments) > len(function.arguments):
             raise NotComputed(f"{name} takes {len(function.arguments)} arguments")
-        found = call(code, function, arguments, self.evaluation, self.calls + 1)
+        try:
+            found = call(code, function, arguments, self.evaluation, self.calls + 1)
+        except NotTranslatedLine as reason:
+            raise reason if code is self.code else NotComputed(f"{name}.m, {reason}") from None
         if count > 1:
             return [found.get(one) for one in function.results]
         return found.get(function.results[0]) if function.results else None
@@ -483,17 +529,13 @@ def call(
     code: Code, function: FunctionDefinition, arguments: Sequence[Value], evaluation: Evaluation, depth: int = 0
 ) -> Mapping[str, Value]:
     """Carry out a function on arguments and return its names. The evaluation keeps persistent variables."""
-    kept = {name: value for name, value in evaluation.names.items() if "." in name}
-    names: MutableMapping[str, Value] = {**code.known, **kept, **dict(zip(function.arguments, arguments, strict=False))}
-    names["nargin"] = np.array([[float(len(arguments))]])
-    inner = Evaluation(names, evaluation.steps, evaluation.on_signals)
-    Program(code, function, inner, depth).run()
-    evaluation.steps, evaluation.on_signals = inner.steps, inner.on_signals
-    evaluation.names.update({name: value for name, value in inner.names.items() if "." in name})
+    given = {**code.known, **dict(zip(function.arguments, arguments, strict=False))}
+    given["nargin"] = np.array([[float(len(arguments))]])
+    _, names = evaluation.apart(given, lambda inner: Program(code, function, inner, depth).run())
     for name in function.results:
-        if name not in inner.names and depth == 0:
+        if name not in names and depth == 0:
             raise NotComputed(f"the output {name} gets no value")
-    return inner.names
+    return names
 
 
 def is_empty(value: Value) -> bool:

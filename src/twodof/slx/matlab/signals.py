@@ -7,7 +7,7 @@ and saturated. Single is computed in the precision of the build, as in the rest 
 import math
 import operator
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from operator import and_, or_
 from typing import Any
 
@@ -325,13 +325,30 @@ def _cross(a: Value, b: Value) -> Array:
     return filled(as_array(a).shape, made)
 
 
-def _norm(value: Value, kind: Value = None) -> Array:
+def _norm(value: Value, kind: Value = 2.0) -> Array:
     array = as_array(value)
-    if 1 not in array.shape or (kind is not None and scalar(kind) != 2.0):
-        raise NotComputed("only the 2-norm of a vector with signals is translated")
+    if kind == "fro":
+        return _norm(array.reshape(-1, 1, order="F"))
+    if 1 not in array.shape or kind not in (1.0, 2.0):
+        raise NotComputed("only the norms 1, 2 and 'fro' of a vector with signals are translated")
+    if kind == 1.0:
+        return _sum(_each(_absolute)(array.reshape(-1, 1)))
     elements = list(lifted(array).flatten())
     squares = reduce(_add, (_times(one, one) for one in elements))
     return filled((1, 1), [_absolute(elements[0]) if len(elements) == 1 else _float(sqrt)(squares)])
+
+
+def _cholesky(value: Value, half: Value = "upper") -> Array:
+    """Return the triangular factor of a matrix; NaN where it is not positive definite, for which MATLAB stops."""
+    a = lifted(as_array(value))
+    size = len(a)
+    if a.shape[1] != size or size > LARGEST_SYSTEM:
+        raise NotComputed(f"the factor of {a.shape[0]} by {a.shape[1]} signals is not translated")
+    factor = filled(a.shape, [0.0] * a.size)
+    for k, n in zip(*np.triu_indices(size), strict=True):
+        left = reduce(_subtract, (_times(factor[k, i], factor[n, i]) for i in range(k)), a[k, n])
+        factor[n, k] = _float(sqrt)(left) if n == k else _divide(left, factor[k, k])
+    return factor if half == "lower" else factor.T
 
 
 def _determinant(value: Value) -> Array:
@@ -370,7 +387,7 @@ def _near_multiple(x: Any, y: Any) -> Any:
     """Return whether x / y is a whole number but for rounding, where y is none: MATLAB's remainders are 0 there."""
     ratio = abs(x / y)
     off = abs(ratio - functions.floor(ratio + 0.5))
-    return (y != functions.floor(y)) & ~(off > float(np.finfo(float).eps) * ratio)
+    return (y != functions.floor(y)) & (off <= float(np.finfo(float).eps) * ratio)
 
 
 def _rem(x: Any, y: Any) -> Any:
@@ -381,6 +398,28 @@ def _mod(x: Any, y: Any) -> Any:
     left = _remainder(x, y)
     turned = where((left != 0.0) & ((x < 0.0) != (y < 0.0)), left + y, left)
     return where(y == 0.0, x, where(_near_multiple(x, y), 0.0, turned))
+
+
+def _sine(x: Any, quarters: float = 0.0) -> Any:
+    """Return the sine of x degrees and some right angles: exact at multiples of 90."""
+    whole = functions.round_half_away(x / 90.0)
+    left = (x - whole * 90.0) * (math.pi / 180.0)
+    whole = whole + quarters
+    quarter = whole - 4.0 * functions.floor(whole / 4.0)
+    size = where((quarter == 1.0) | (quarter == 3.0), functions.cos(left), functions.sin(left))
+    return where(quarter >= 2.0, -size, size)
+
+
+def _in_degrees(name: str, *elements: Any) -> Any:
+    return getattr(functions, name)(*elements) * (180.0 / math.pi)
+
+
+def _wrapped(x: Any, half: float, symmetric: bool) -> Any:
+    """Return an angle from 0 to two halves; if symmetric, from -half to half. A bound keeps its sign."""
+    if symmetric:
+        return where(abs(x) > half, _wrapped(x + half, half, False) - half, x)
+    left = _mod(x, 2.0 * half)
+    return where((left == 0.0) & (x > 0.0), 2.0 * half, left)
 
 
 def _bits(compute: Elementwise) -> Elementwise:
@@ -467,7 +506,9 @@ def _interpolated(places: Value, values: Value, at: Value) -> Array:
     return _each(_float(one))(at)
 
 
-_SHAPES = ("reshape", "transpose", "numel", "size", "length", "repmat", "diag", "isempty", "fliplr", "flipud")
+_SHAPES = ("reshape", "transpose", "numel", "size", "length", "repmat", "diag", "isempty", "fliplr", "flipud",
+           "horzcat", "vertcat", "isreal", "isscalar", "isvector", "isrow", "iscolumn", "isnumeric", "ischar",
+           "isstruct", "circshift", "tril", "triu")  # fmt: skip
 """Functions that arrange elements, whatever they are."""
 SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     **{name: _each(_float(getattr(functions, name))) for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2",
@@ -477,8 +518,16 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "fix": _each(_rounded(functions.trunc)), "round": _each(_rounded(functions.round_half_away)),
     "sinh": _each(_float(lambda x: (functions.exp(x) - functions.exp(-x)) / 2.0)),
     "cosh": _each(_float(lambda x: (functions.exp(x) + functions.exp(-x)) / 2.0)),
+    "sec": _each(_float(lambda x: 1.0 / functions.cos(x))), "csc": _each(_float(lambda x: 1.0 / functions.sin(x))),
+    "cot": _each(_float(lambda x: 1.0 / functions.tan(x))), "sind": _each(_float(_sine)),
+    "cosd": _each(_float(lambda x: _sine(x, 1.0))), "tand": _each(_float(lambda x: _sine(x) / _sine(x, 1.0))),
+    **{f"{name}d": _each(_float(partial(_in_degrees, name))) for name in ("asin", "acos", "atan", "atan2")},
+    **{f"wrapTo{end}": _each(_float(partial(_wrapped, half=half, symmetric=symmetric))) for end, half, symmetric in
+       (("Pi", math.pi, True), ("2Pi", math.pi, False), ("180", 180.0, True), ("360", 180.0, False))},
     "deg2rad": _each(_float(lambda x: x * (math.pi / 180.0))), "max": _extreme(True), "min": _extreme(False),
     "rad2deg": _each(_float(lambda x: x * (180.0 / math.pi))), "sum": _sum, "prod": _reduced(_times, _number),
+    "realsqrt": _each(_float(sqrt)), "linsolve": lambda a, b: OPERATORS["\\"](a, b), "chol": _cholesky,
+    "nnz": lambda a: _sum(OPERATORS["~="](as_array(a).reshape(-1, 1), np.zeros((1, 1)))),
     "mean": _mean, "cumsum": _accumulated, "norm": _norm, "cross": _cross, "det": _determinant,
     "dot": lambda a, b: _product(as_array(a).reshape(1, -1), as_array(b).reshape(-1, 1)),
     "trace": lambda a: _sum(np.diag(lifted(as_array(a)))[:, None]), "inv": lambda a: _solved(a, np.eye(len(a))),

@@ -426,6 +426,14 @@ def _diag(value: Value) -> Array:
     return np.diag(array.flatten()) if 1 in array.shape else np.diag(array)[:, None]
 
 
+def _found(value: Value, most: Value = None) -> Array:
+    array = as_array(value)
+    places = np.flatnonzero(array.flatten(order="F"))[: None if most is None else int(scalar(most))] + 1.0
+    if array.size <= 1 and not places.size:
+        return np.zeros((0, 0))
+    return places[None, :] if array.shape[0] == 1 else places[:, None]
+
+
 def _size(value: Value, dimension: Value = None) -> Array:
     shape = np.array([as_array(value).shape], dtype=float)
     return shape if dimension is None else shape[:, [int(scalar(dimension)) - 1]]
@@ -544,12 +552,23 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "trace": lambda v: float(np.trace(as_array(v))), "kron": lambda a, b: np.kron(as_array(a), as_array(b)),
     "cross": lambda a, b: np.cross(as_array(a).flatten(), as_array(b).flatten()).reshape(as_array(a).shape),
     "dot": lambda a, b: float(np.dot(as_array(a).flatten(), as_array(b).flatten())),
-    "reshape": lambda v, *s: as_array(v).reshape([int(n) for one in s for n in as_array(one).flatten()], order="F"),
+    "reshape": lambda v, *s: as_array(v).reshape(
+        [int(n) for one in s for n in (as_array(one).flatten() if as_array(one).size else [-1])], order="F"
+    ),
     "repmat": lambda v, *s: _bounded_tile(v, [int(n) for one in s for n in as_array(one).flatten()]),
     "struct": _struct, "Simulink.Parameter": lambda value=None: {"Value": np.zeros((0, 0)) if value is None else value},
     "Simulink.Bus": lambda: {"Elements": []},
     "Simulink.BusElement": lambda: {"Name": "", "DataType": "double", "Dimensions": np.ones((1, 1))},
     "Simulink.AliasType": lambda base="double": {"BaseType": base},
+    "horzcat": lambda *v: joined([list(v)]), "vertcat": lambda *v: joined([[one] for one in v]),
+    "isreal": lambda v: isinstance(v, np.ndarray | str), "isscalar": lambda v: as_array(v).size == 1,
+    "isvector": lambda v: 1 in as_array(v).shape, "isrow": lambda v: as_array(v).shape[0] == 1,
+    "iscolumn": lambda v: as_array(v).shape[1] == 1, "ischar": lambda v: isinstance(v, str),
+    "isnumeric": lambda v: isinstance(v, np.ndarray) and class_of(v) != "bool",
+    "isstruct": lambda v: isinstance(v, dict), "strcmpi": lambda a, b: str(a).lower() == str(b).lower(),
+    "find": _found, "tril": lambda v, k=None: np.tril(as_array(v), 0 if k is None else int(scalar(k))),
+    "triu": lambda v, k=None: np.triu(as_array(v), 0 if k is None else int(scalar(k))),
+    "circshift": lambda v, k: np.roll(as_array(v), int(scalar(k)), axis=int(as_array(v).shape[0] == 1)),
     "conv": lambda a, b: np.convolve(as_array(a).flatten(), as_array(b).flatten())[None, :],
     "poly": lambda v: np.poly(as_array(v).flatten())[None, :], "fliplr": lambda v: as_array(v)[:, ::-1],
     "polyval": lambda p, x: np.polyval(as_array(p).flatten(), as_array(x)), "flipud": lambda v: as_array(v)[::-1],
