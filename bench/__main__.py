@@ -83,7 +83,7 @@ def markdown(results: Mapping[str, Sequence[Figure]], about: Mapping[str, Any]) 
     compilers = ", ".join(f"{name}: {version}" for name, version in about["compilers"].items())
     packages = ", ".join(f"{name} {version}" for name, version in about["packages"].items())
     lines = [
-        "# Benchmarks",
+        f"# Benchmarks of twodof {about['packages']['twodof']}",
         "",
         f"{about['date']}, {about['processor']}, {about['cores']} cores (load {about['load']}), {about['system']}.",
         f"Python {about['python']}; {compilers};",

@@ -92,4 +92,4 @@ def test_the_report_is_whole(demo: tuple[dict[str, Any], str]) -> None:
     assert page.endswith("</html>\n")
     for number in (3, 4, 5, 7, 8):
         assert f'id="figure-{number}"' in page
-    assert "none at hand" in page
+    assert "twodof log fetch" in page

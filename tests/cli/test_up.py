@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -15,9 +16,9 @@ import pytest
 from tests.cli.program import Program, Shell, program
 from tests.fleet.drone_numbers import free_numbers
 from tests.processes import alive
-from twodof.cli.up import LocalDrone, print_places
+from twodof.cli.up import LocalDrone, _run, print_places
 from twodof.errors import Rejected
-from twodof.fleet.local_fleet import MOST_RESTARTS
+from twodof.fleet.local_fleet import MOST_RESTARTS, LocalFleet
 from twodof.fleet.virtual_drone import child_error
 from twodof.gcs.drone import Drone
 from twodof.link.signing import Key, write_key
@@ -93,6 +94,20 @@ def test_drones_that_fly_do_not_outlive_their_parent(first: int, tmp_path: Path)
         children = running.children()
         running.process.kill()
         running.wait(lambda: gone(children), "children outlive it")
+
+
+def test_the_start_is_announced_before_it_takes_its_time(capfd: pytest.CaptureFixture[str]) -> None:
+    printed = []
+
+    class Fleet(LocalFleet):
+        async def start(self) -> None:
+            printed.append(capfd.readouterr().err)
+
+        async def run(self) -> None:
+            """Nothing runs."""
+
+    asyncio.run(_run(Fleet([], [], None, print), [LocalDrone(2)], lockstep=True, json=False))
+    assert "starting the drone; the first start compiles the flight code" in printed[0]
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

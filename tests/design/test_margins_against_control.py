@@ -119,6 +119,8 @@ def test_a_system_of_python_control_comes_back() -> None:
     assert control.margin(late.to_control())[:2] == pytest.approx(
         (margins(late).gain_margin, margins(late).phase_margin_deg)
     )
+    with pytest.raises(ParameterError, match=r"TransferFunction.*LoopTransfer.from_control\(system\)"):
+        margins(control.tf([10], [1, 1]))
     with pytest.raises(CompileError, match="give a StateSpace"):
         LinearModel.from_control("G(s)")
     with pytest.raises(CompileError, match="proper transfer function"):

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,6 +76,14 @@ def test_figures_are_those_of_one_response() -> None:
     )
     assert verdict.steps[0].figures["rise_time"] == pytest.approx(one.rise_time, abs=1e-9)
     assert verdict.stands
+    assert "theta         1 of 1 steps in the band" in verdict.table()
+    low, _, high = made.figures["overshoot"]
+    assert f"within {100.0 * low:.3g} to {100.0 * high:.3g} %: " in verdict.table()
+    shaken = replace(verdict.steps[0], outside={"theta": 0.0025, "M": 0.0})
+    assert (
+        "0 of 1 steps in the band; the worst left it for 0.25 % of its time"
+        in replace(verdict, steps=(shaken,)).table()
+    )
 
 
 def test_promise_comes_back_from_its_file() -> None:

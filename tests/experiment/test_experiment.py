@@ -141,5 +141,5 @@ def test_a_stop_that_is_struck_between_two_samples_is_seen(seed: int) -> None:
     theta = laboratory.signals(flown, plan, 0.0, seed)["true_theta"][plan.begin : plan.end]
     stop = laboratory.parameters["pitch_stop"]
     assert stop - 0.01 < np.abs(theta).max() < stop - STOP_MARGIN
-    (pitch,) = (check for check in laboratory.fly(flown, seed).checks if check.name == "pitch free")
+    (pitch,) = (check for check in laboratory.fly(flown, seed).checks if check.name == "clear of the pitch stop")
     assert not pitch.passed

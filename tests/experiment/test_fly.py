@@ -169,16 +169,21 @@ def test_what_a_flight_is_judged_by_is_the_same(flown: Both) -> None:
     assert set(judged) - set(simulated) == {"flown to its end", "failsafe silent", "samples received"}
     # By the truth, which has all its bits on the ground too, so in the same words.
     for flight in (flown.flight, flown.laboratory.fly(flown.name, SEED)):
-        seen = {check.name: check.seen for check in flight.checks if check.name in ("pitch free", "rail free")}
-        assert all(text.endswith(", true") for text in seen.values())
-        assert seen == by_truth(flight.log, flown.plan, flight.experiment.rings)
+        seen = {
+            check.name: check.seen
+            for check in flight.checks
+            if check.name in ("clear of the pitch stop", "clear of the rail stop")
+        }
+        assert seen == by_truth(flight.log, flown.plan, flight.experiment.rings, flown.laboratory.parameters)
 
 
-def by_truth(log: FlightLog, plan: Script, rings: bool) -> dict[str, str]:
+def by_truth(log: FlightLog, plan: Script, rings: bool, rig: Mapping[str, float]) -> dict[str, str]:
     """Return the words for pitch and place, from the true channels."""
     theta, x = (np.abs(log[f"{name}_true"].value[plan.begin : plan.end]).max() for name in ("theta", "x"))
-    seen = {"pitch free": f"{np.degrees(theta):.1f} deg, true"}
-    return seen if rings else seen | {"rail free": f"{x:.3f} m, true"}
+    stops = np.degrees(rig["pitch_stop"]), rig["rail_stop"]
+    swing = f"|theta| up to {np.degrees(theta):.1f} deg, true values; stop at {stops[0]:.1f} deg"
+    way = f"|x| up to {x:.3f} m, true values; stop at {stops[1]:.3f} m"
+    return {"clear of the pitch stop": swing} | ({} if rings else {"clear of the rail stop": way})
 
 
 @pytest.mark.long
@@ -271,7 +276,9 @@ def test_a_real_drone_flies_to_its_start_during_the_hold() -> None:
         assert (flight.log.provenance["parameters"], flight.log.provenance["controllers"]) == ({}, {})
         # Nobody knows its truth, and nobody asked: it is judged by what it estimates.
         assert not set(TRUE) & set(flight.log)
-        assert {check.name: check.seen.rpartition(", ")[2] for check in flight.checks}["rail free"] == "estimated"
+        assert (
+            "m, estimated values; stop" in {check.name: check.seen for check in flight.checks}["clear of the rail stop"]
+        )
         with pytest.raises(Rejected), drone.truth():
             pass
 
@@ -375,7 +382,7 @@ def test_a_link_that_dies_in_the_middle_leaves_what_had_come(tmp_path: Path) -> 
     checks = {check.name: check for check in flight.checks}
     assert checks["samples received"].passed
     assert checks["data"].seen == "not judged: the flight was broken off"
-    assert "pitch free" not in checks
+    assert "clear of the pitch stop" not in checks
     steps = script(flight.experiment).steps
     assert 0.4 * steps < len(flight.log["theta"]) < 0.9 * steps
 
@@ -469,10 +476,10 @@ def test_lost_truth_is_judged_by_the_estimates() -> None:
     (pitch,) = (
         check
         for check in data_checks(experiment("attitude-steps"), plan, out, load_rig("lab"))
-        if check.name == "pitch free"
+        if check.name == "clear of the pitch stop"
     )
     flown = plan.end - plan.begin
-    assert pitch.seen == f"{np.degrees(0.2):.1f} deg, true except in 3 of {flown} steps, estimated there"
+    assert f"up to {np.degrees(0.2):.1f} deg, true values except in 3 of {flown} steps; stop at" in pitch.seen
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,6 +47,15 @@ def test_both_methods_find_the_rig(doublet: IdentifiedFlight) -> None:
     assert rows["mu"]["simple"] == pytest.approx(rows["mu"]["value"], rel=0.05)
     assert rows["mu"]["low"] < rows["mu"]["value"] < rows["mu"]["high"]
     assert rows["mu"]["text"] == "gain from normalised moment to angular acceleration"
+    assert not rows["mu"]["held"]
+    assert rows["w_n"]["value"] == doublet.greybox.fixed["w_n"]
+    assert (rows["w_n"]["held"], rows["w_n"]["sigma"], rows["w_n"]["unit"]) == (True, None, "rad/s")
+
+
+def test_values_by_hand_are_left_out_where_their_own_checks_fail(doublet: IdentifiedFlight) -> None:
+    doubted = replace(doublet, simple=replace(doublet.simple, left=0.2))
+    assert "not known better" in doubted.view()["simple_text"]
+    assert {row["simple"] for row in doubted.view()["estimates"]} == {None}
 
 
 @pytest.mark.long
@@ -122,6 +132,9 @@ def test_insufficient_data_are_reported(logs: dict[str, FlightLog]) -> None:
     judged = sufficiency(found.greybox, ("xi",))
     share = 1.959964 * found.greybox.sigma("xi") / abs(found.greybox["xi"])
     assert judged.enough == (share <= 0.25 and "xi" not in found.greybox.at_bound)
+    assert (
+        judged.enough or judged.text == f"not informative enough: the 95 % intervals are wide: xi ± {100 * share:.0f} %"
+    )
     assert found.simple is None
     assert "impulse" in found.refusal
 

@@ -7,6 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.identify.signals import DT
+from twodof.design import LoopTransfer, margins
+from twodof.errors import ParameterError
+from twodof.experiment import simulate
 from twodof.identify import Estimate, Record, fit, identify_pitch
 from twodof.models import pitch_rate, rail
 from twodof.models.plant import thrust_curve
@@ -132,3 +135,30 @@ def test_without_noise_the_structure_is_the_rig() -> None:
     # A constant thrust would cost 3 % of p_v: hard pitch manoeuvres lift more.
     constant = fit(rail(), record, estimate=("k_v", "p_v", "theta_0", "v_0"), disturbance="white")
     assert constant["p_v"] < 0.98 * 1.168
+
+
+def test_results_print_as_one_short_line(greybox: Estimate, pitch_records: tuple[Record, list[Record]]) -> None:
+    flight = simulate("doublet", seed=3)
+    for one in (flight, flight.log, flight.log["q"], greybox, *greybox.identification, *pitch_records[1]):
+        assert len(repr(one)) < 600, type(one)
+        assert "\n" not in repr(one), type(one)
+    assert repr(flight).startswith(
+        "<Flight doublet, seed 3: good; log=<FlightLog log: 10.00 to 32.20 s, 22 channels: acc"
+    )
+    assert repr(flight.log["q"]) == "<Channel q [rad/s]: 5550 samples, 10.00 to 32.20 s>"
+    mu, sigma = greybox["mu[impulse]"], greybox.sigma("mu[impulse]")
+    assert f" mu[impulse] {mu:.4g} +- {sigma:.2g} rad/s2, " in repr(greybox)
+
+
+def test_an_estimate_goes_to_python_control(greybox: Estimate) -> None:
+    """At low frequencies q / M is mu j w / w_n^2 of the pendulum, whatever the delay."""
+    system = greybox.linear(DT).to_control()
+    omega = 0.01
+    (gain,) = np.abs(system(np.exp(1j * omega * DT))[system.output_labels.index("q")])
+    assert gain == pytest.approx(greybox["mu[impulse]"] * omega / greybox["w_n"] ** 2, rel=1e-3)
+    loop = LoopTransfer.of(greybox.linear(DT), "M", "q")
+    found = margins(loop.scaled(0.1))
+    phase = f"{found.phase_margin_deg:.1f} deg at {found.crossover:.3g} rad/s"
+    assert f"gain margin {found.gain_margin_db:.1f} dB, phase margin {phase}, delay margin" in repr(found)
+    with pytest.raises(ParameterError, match=r"estimate\.linear\(dt\)"):
+        margins(greybox)

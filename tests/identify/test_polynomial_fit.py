@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from twodof.errors import IdentificationError
 from twodof.identify import Record, fit, merge
-from twodof.identify.simulation import linear_form, model_response
+from twodof.identify.simulation import model_response
 from twodof.models import PolynomialModel, armax, arx, bj, oe
 
 pytestmark = pytest.mark.slow
@@ -92,7 +92,7 @@ def test_frequency_response_is_that_of_python_control() -> None:
     top, bottom = found.model.polynomials(found.values).transfer(0)
     theirs = control.TransferFunction(top, bottom, DT)(np.exp(1j * omega * DT))
     assert own.response == pytest.approx(theirs, rel=1e-9)
-    assert linear_form(found, DT).response(omega)[:, 0, 0] == pytest.approx(theirs, rel=1e-7)
+    assert found.linear(DT).response(omega)[:, 0, 0] == pytest.approx(theirs, rel=1e-7)
     assert (own.gain_sigma > 0.0).all()
 
 

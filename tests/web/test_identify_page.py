@@ -83,7 +83,7 @@ def test_the_drone_flies_what_was_previewed(lab: ServedLab, open_page: OpenPage)
     expect(page.get_by_text("of the rail")).to_be_visible()
     assert lab.call("POST", "drones/1/reset", {"rings": True})[0] == 200
     page.get_by_role("button", name="Fly velocity-doublet").click()
-    expect(page.get_by_text("the data are good")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text("all checks passed")).to_be_visible(timeout=LONG_MS)
     with Drone.connect(lab.call("GET", "drones/1")[1]["url"]) as drone:
         assert drone.state.rig.rings_locked, "it is put back as it was"
     expect(page.get_by_text("It was not put back")).to_be_hidden()

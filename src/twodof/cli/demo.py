@@ -95,7 +95,7 @@ def _provenance(logs: list[str], repetitions: int) -> dict[str, str]:
     return {
         **versions(),
         "virtual flights": f"seeds 1 to {repetitions} of each experiment on each rig, flown over MAVLink in lockstep",
-        "real flights": ", ".join(logs) or "none at hand",
+        "real flights": ", ".join(logs) or "none: twodof log fetch downloads the logs of the real drone",
     }
 
 
@@ -137,7 +137,7 @@ def _lines(machines: list[CharacterisedMachine], logs: int, out: Path, seconds: 
         yield made
         yield ""
     if not logs:
-        yield f"The real drone's logs are not at hand; {VARIABLE} names the folder that holds them."
+        yield f"The real drone's logs are missing. `twodof log fetch` downloads them; {VARIABLE} names their folder."
     yield f"Report: {out.resolve()} ({seconds:.0f} s)"
 
 

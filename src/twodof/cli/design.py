@@ -47,7 +47,7 @@ _IDENTIFIED = "give what `twodof identify --json` printed"
 def controller(
     model: Annotated[str, argument("What `twodof identify --json` printed; -: from standard input.", "MODEL")],
     out: Annotated[Path, option("Write the controller there, a diagram as JSON.", "FILE")],
-    crossover: Annotated[float, option("Crossover of the rate loop.", "RAD/S")] = CROSSOVER,
+    crossover: Annotated[float, option("Crossover of the rate loop, which --phase-margin meets.", "RAD/S")] = CROSSOVER,
     phase_margin: Annotated[
         float | None, option("Phase margin of the rate loop; left out: what the course's rule gives.", "DEG")
     ] = None,
@@ -111,6 +111,9 @@ def controller(
         save_diagram(made.diagram, out, overwrite=force)
         written = {"diagram": str(out), **_keep(found, promise_file, plot, force)}
     lines = [] if made.cascade is None else _cascade_lines(made.cascade)
+    if made.cascade is not None and spec is None and phase_margin is None:
+        why = f"  mu / s alone crosses over at {crossover:g} rad/s; the rule's lead and integral raise the gain"
+        lines.append(f"{why}. --phase-margin DEG meets the crossover exactly")
     lines += [sure.text, made.saturation.text, found.table(), *(one.text for one in made.requirements)]
     print_result(json, {**made.to_json(), "written": written}, lines)
     _say_notes(family, () if json else written.values())

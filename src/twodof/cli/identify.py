@@ -37,7 +37,6 @@ from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch
 from twodof.identify.simple_velocity import SimpleVelocity
 from twodof.identify.simulation import compare as compare_models
-from twodof.identify.simulation import linear_form
 from twodof.models.polynomial import FORMS, PolynomialModel, is_named
 from twodof.models.structure import Structure
 from twodof.report.plots.flight_view import SUFFIXES, check_place
@@ -300,7 +299,7 @@ def _linear(found: object, record: Record) -> dict[str, Any]:
     if not isinstance(found, Estimate):
         return {}
     try:
-        return {"linear": linear_form(found, record.dt).to_json()}
+        return {"linear": found.linear(record.dt).to_json()}
     except DiagramError:
         return {}
 

@@ -185,7 +185,8 @@ def convert(
 ) -> None:
     """Write a log in another format (.mat, .mcap, .parquet, .csv, .ulg); the target is there whole or not at all.
 
-    A .ulg, for PX4's tools, holds the drone's own signals. What else the log has is left out, and named.
+    A .ulg, for PX4's tools, holds the drone's own signals, and the parameters that were not at their defaults. What
+    else the log has is left out, and named.
     """
     log = convert_log(source, target, wide, force)
     left_out = [name for name in log.channels if name not in BY_MAT] if target.suffix.lower() == ".ulg" else []

@@ -141,6 +141,9 @@ async def _run(
         nonlocal all_up
         async with fleet, nullcontext() if served is None else served[0]:
             try:
+                if not json:
+                    many = f"{len(places)} drones" if len(places) > 1 else "the drone"
+                    _tell(f"starting {many}; the first start compiles the flight code, which takes up to half a minute")
                 await fleet.start()
                 all_up, found, who = True, None, ""
                 if served is not None:

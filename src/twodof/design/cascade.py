@@ -95,12 +95,13 @@ def cascade_design(
     separation: float = SEPARATION,
     kept: Gains = DEFAULT,
 ) -> CascadeDesign:
-    """Return gains of the cascade whose rate loop crosses over at `crossover` [rad/s].
+    """Return gains of the cascade for a `crossover` of the rate loop [rad/s].
 
-    With `phase_margin` [rad] the rate PID meets both figures exactly; without, it is `shaped_pid`, whose margin
-    follows. The attitude loop crosses over at `crossover` / `separation`. `lag` [s] is that of the rotors, in addition
-    to the delay of `pitch`. The gains of the loops along the rail are those of `kept`. Raises ParameterError if no
-    gains meet a figure, and for gains that the drone refuses.
+    With `phase_margin` [rad] the rate PID meets both figures exactly. Without, it is `shaped_pid`: mu / s with its gain
+    alone crosses over there, the loop some 15 % higher, and its margin follows. The attitude loop crosses over at
+    `crossover` / `separation`. `lag` [s] is that of the rotors, in addition to the delay of `pitch`. The gains of the
+    loops along the rail are those of `kept`. Raises ParameterError if no gains meet a figure, and for gains that the
+    drone refuses.
     """
     if not 1.0 < separation < 1e3:
         raise ParameterError(f"a separation of {separation!r} is out of range", "cascade", "give 3 to 10; 5 is usual")

@@ -75,7 +75,8 @@ class LoopTransfer:
         elif isinstance(model, SampledStateSpace):
             (a, b, c, d), dt, delay = model.augmented(), model.dt, 0.0
         else:
-            raise _error(f"{shown(model)} is not a linear model", "give a LinearModel or a state space")
+            remedy = "give a LinearModel, LoopTransfer.from_control(system) for python-control, or estimate.linear(dt)"
+            raise _error(f"{type(model).__name__} {shown(model)} is not a linear model", remedy)
         i = _place(source, inputs, b.shape[1], "input")
         j = _place(source if to is None else to, outputs, c.shape[0], "output")
         sign = -1.0 if negate else 1.0
@@ -85,6 +86,10 @@ class LoopTransfer:
     def of_gain(cls, gain: float, dt: float | None = None) -> Self:
         """Return a loop that is a number alone."""
         return cls(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), float(gain), dt)
+
+    def __repr__(self) -> str:
+        time = "continuous" if self.dt is None else f"sampled every {self.dt:g} s"
+        return f"<LoopTransfer of {len(self.a)} states, {time}, delay {self.delay:g} s>"
 
     def times(self, other: "LoopTransfer") -> "LoopTransfer":
         """Return the product of both loops, with the signal through `other` first: `controller.times(plant)`.

@@ -170,6 +170,12 @@ class LoopMargins:
     disk: DiskMargin
     bandwidth: float
 
+    def __repr__(self) -> str:
+        gain, delay = f"{self.gain_margin_db:.1f} dB", f"{1e3 * self.delay_margin:.3g} ms"
+        phase = f"{self.phase_margin_deg:.1f} deg at {self.crossover:.3g} rad/s"
+        state = "stable" if self.stable else "unstable"
+        return f"<LoopMargins {state}: gain margin {gain}, phase margin {phase}, delay margin {delay}>"
+
     @property
     def stable(self) -> bool:
         """Return True if the closed loop is stable; a loop on the border is not."""

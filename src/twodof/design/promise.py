@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Self
@@ -180,10 +180,11 @@ class Measured:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a promise at `level` by a flight with one or more `steps`."""
+    """Verdict on a promise of the step `promised` at `level` by a flight with one or more `steps`."""
 
     level: float
     steps: tuple[Measured, ...]
+    promised: PromisedStep
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -216,14 +217,17 @@ class Verdict:
         return "\n".join(lines)
 
     def _line(self, name: str) -> str:
-        inside = f"{self.count(name)} of {len(self.steps)}"
+        inside = f"{self.count(name)} of {len(self.steps)} steps"
         first = self.steps[0]
         if name in first.outside:
             worst = max(step.outside[name] for step in self.steps)
-            return f"{inside} inside the band" + (f", at worst {100.0 * worst:.0f} % outside" if worst else "")
-        low, high = first.promised[name]
-        figures = ", ".join(f"{step.figures[name]:.3g}" for step in self.steps)
-        return f"{inside} within {low:.3g} to {high:.3g}: {figures}"
+            return f"{inside} in the band" + (
+                f"; the worst left it for {100.0 * worst:.2g} % of its time" if worst else ""
+            )
+        factor, unit = self.promised.figures[name]
+        low, high = (factor * end for end in first.promised[name])
+        figures = ", ".join(f"{factor * step.figures[name]:.3g}" for step in self.steps)
+        return f"{inside} within {low:.3g} to {high:.3g} {unit}: {figures}".replace(" -:", ":")
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data; a figure that is infinite is null."""
@@ -263,9 +267,9 @@ class Promise:
     members: int
     seed: int
     failed: float
-    low: Mapping[str, Array]
-    high: Mapping[str, Array]
-    middle: Mapping[str, Array]
+    low: Mapping[str, Array] = field(repr=False)
+    high: Mapping[str, Array] = field(repr=False)
+    middle: Mapping[str, Array] = field(repr=False)
     figures: Mapping[str, tuple[float, float, float]]
 
     @classmethod
@@ -335,11 +339,11 @@ class Promise:
         flown = {name: np.interp(self.time, t, y) for name, y in given.items()}
         for name in set(self.step.zeroed) & set(given):
             flown[name] -= float(given[name][(t < 0.0) & (t >= -TRIM * PERIOD)].mean())
-        return Verdict(self.level, (self._measured(flown),))
+        return Verdict(self.level, (self._measured(flown),), self.step)
 
     def verdict_of(self, log: FlightLog) -> Verdict:
         """Compare all steps that `steps_of` finds in `log` with the promise. Raise the errors of `steps_of`."""
-        return Verdict(self.level, tuple(self.verdict(*one).steps[0] for one in self.steps_of(log)))
+        return Verdict(self.level, tuple(self.verdict(*one).steps[0] for one in self.steps_of(log)), self.step)
 
     def steps_of(self, log: FlightLog) -> list[tuple[Array, dict[str, Array]]]:
         """Return all steps by `goal`, up or down, that `log` holds: (time from the step, the channels).

@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -58,10 +58,10 @@ class TuningPreview:
     level: float
     members: int
     loops: Mapping[str, LoopMargins]
-    time: Array
-    low: Mapping[str, Array]
-    middle: Mapping[str, Array]
-    high: Mapping[str, Array]
+    time: Array = field(repr=False)
+    low: Mapping[str, Array] = field(repr=False)
+    middle: Mapping[str, Array] = field(repr=False)
+    high: Mapping[str, Array] = field(repr=False)
     figures: Mapping[str, tuple[float, float, float]]
     verdict: Robustness
 

@@ -68,15 +68,15 @@ def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mappi
     """
     flown = slice(plan.begin, plan.end)
     steepest, by = _farthest(out, "theta", flown)
+    swing = f"|theta| up to {np.degrees(steepest):.1f} deg, {by}; stop at {np.degrees(stops['pitch_stop']):.1f} deg"
     checks = [
-        FlightCheck(
-            "pitch free", steepest < stops["pitch_stop"] - STOP_MARGIN, f"{np.degrees(steepest):.1f} deg, {by}"
-        ),
+        FlightCheck("clear of the pitch stop", steepest < stops["pitch_stop"] - STOP_MARGIN, swing),
         _excited(experiment, plan, out),
     ]
     if not experiment.rings:
         farthest, by = _farthest(out, "x", flown)
-        checks.append(FlightCheck("rail free", farthest < stops["rail_stop"] - STOP_MARGIN, f"{farthest:.3f} m, {by}"))
+        way = f"|x| up to {farthest:.3f} m, {by}; stop at {stops['rail_stop']:.3f} m"
+        checks.append(FlightCheck("clear of the rail stop", farthest < stops["rail_stop"] - STOP_MARGIN, way))
     return checks
 
 
@@ -88,10 +88,10 @@ def _farthest(out: Signals, name: str, flown: slice) -> tuple[float, str]:
     """
     estimate, true = _reached(out, name, "", flown), out.get(f"true_{name}")
     if true is None:
-        return _largest(estimate), "estimated"
+        return _largest(estimate), "estimated values"
     known = np.isfinite(true[flown])
     unknown = int((~known).sum())
-    by = f"true except in {unknown} of {len(known)} steps, estimated there" if unknown else "true"
+    by = f"true values except in {unknown} of {len(known)} steps" if unknown else "true values"
     return _largest(np.where(known, _reached(out, name, "true_", flown), estimate)), by
 
 
@@ -115,7 +115,9 @@ def _excited(experiment: Experiment, plan: Script, out: Signals) -> FlightCheck:
         return FlightCheck("excited", False, f"no sample of {name} before the excitation")
     largest = _largest(out[name][plan.begin : plan.end] - before.mean())
     return FlightCheck(
-        "excited", largest > 5.0 * float(before.std()), f"{name} moves by {largest:.3g}, {before.std():.2g} before"
+        "excited",
+        largest > 5.0 * float(before.std()),
+        f"{name} moves by {largest:.3g}, its noise before is {before.std():.2g}",
     )
 
 
@@ -176,6 +178,11 @@ class Flight:
     def good(self) -> bool:
         """True if every check passed."""
         return all(check.passed for check in self.checks)
+
+    def __repr__(self) -> str:
+        failed = ", ".join(f"{check.name} {check.seen}" for check in self.checks if not check.passed)
+        state = self.reason or (f"failed checks: {failed}" if failed else "good")
+        return f"<Flight {self.experiment.name}, seed {self.seed}: {state}; log={self.log!r}>"
 
 
 class Laboratory:

@@ -94,6 +94,10 @@ class Channel:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __repr__(self) -> str:
+        span = f", {self.time[0]:.2f} to {self.time[-1]:.2f} s" if len(self) else ""
+        return f"<Channel {self.name} [{self.unit or '-'}]: {len(self)} samples{span}>"
+
     def field(self, name: str) -> NDArray[np.float64]:
         """Return one named column (n,), such as `log["lmnf"].field("M")`. Raises LogError for an unknown name."""
         if name not in self.fields:
@@ -164,6 +168,11 @@ class FlightLog:
                     raise LogError(what, shown(name), f"give at most {MAX_NAME} letters")
         object.__setattr__(self, "channels", named)
         object.__setattr__(self, "provenance", dict(self.provenance))
+
+    def __repr__(self) -> str:
+        start, end = self.span if any(map(len, self.channels.values())) else (0.0, 0.0)
+        names = f"{len(self.channels)} channels: {listed(self.channels)}"
+        return f"<FlightLog {self.source}: {start:.2f} to {end:.2f} s, {names}>"
 
     def __getitem__(self, name: str) -> Channel:
         """Return a channel. Raises LogError, with the names of all channels, if the log lacks it."""

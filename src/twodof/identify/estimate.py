@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError
+from twodof.compile.linear.linear_model import LinearModel
+from twodof.compile.linear.linearize import linearize
+from twodof.errors import IdentificationError, listed
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.validate import Comparison, deviations
 from twodof.models.polynomial import PolynomialModel
@@ -80,6 +82,42 @@ class Estimate:
         """Return the value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
         held = sum(self.fixed[part] for part in self.sums.get(label, ()) if part not in self.labels)
         return float(self.values[self._places(label)].sum()) + held
+
+    def __repr__(self) -> str:
+        def value(of: str) -> str:
+            doubt = "at its bound," if of in self.at_bound else f"+- {self.sigma(of):.2g}"
+            return f"{of} {self[of]:.4g} {doubt} {self.unit(of)}".rstrip(", ")
+
+        fits = listed(f"{one.fit_percent:.1f} %" for one in self.identification)
+        return (
+            f"<Estimate {self.structure}: {listed(map(value, (*self.labels, *self.summed)))}; +- 1 sigma; FIT {fits}>"
+        )
+
+    def linear(self, dt: float) -> LinearModel:
+        """Return the fitted model of steps `dt` [s] as matrices, at rest, such as for `to_control` and `margins`.
+
+        Of unknowns of several records the first count. Raises DiagramError for a structure that cannot be linearised
+        at rest, IdentificationError for an estimate without its model.
+        """
+        model, found = self.model, {name: float(self.values[i]) for name, i in self.places("").items()}
+        if isinstance(model, PolynomialModel):
+            a, b, c, d = model.polynomials(self.values).matrices()
+            states = tuple(f"x{i + 1}" for i in range(len(a)))
+            return LinearModel(a, b, c, d, dt, states, model.inputs, model.outputs, name=model.kind)
+        if model is None:
+            raise IdentificationError("the estimate does not know its model", "Estimate", "give the result of `fit`")
+        still = {name: 0.0 for name in found if name in self.local}
+        at = {name: one for name, one in {**self.fixed, **found, **still}.items() if name in model.unknowns}
+        return linearize(model.diagram, dt / model.substeps, at=at)
+
+    def places(self, record: str) -> dict[str, int]:
+        """Return the place of each parameter among the labels: "mu[doublet.mat]" is mu of that record."""
+        found: dict[str, int] = {}
+        for i, label in enumerate(self.labels):
+            name, _, of = label.partition("[")
+            if name not in found or of.rstrip("]") == record:
+                found[name] = i
+        return found
 
     @property
     def white(self) -> bool:
@@ -260,7 +298,9 @@ def _on_search(found: Estimate) -> Iterator[str]:
     for gap in found.gaps:
         yield f"{gap}: fit the pieces between (Record.pieces)"
     for label in found.at_bound:
-        yield f"{label} is held by its bound: widen the bound or fix it"
+        whole = next((name for name, parts in found.sums.items() if label in parts), "")
+        remedy = f"read {whole}, the sum that the data tell" if whole else "widen the bound or fix it"
+        yield f"{label} is held by its bound: {remedy}"
     for name in found.at_rest:
         yield f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
     samples = sum(one.measured.size for one in found.identification)

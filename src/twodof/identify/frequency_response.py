@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,15 +71,15 @@ class FrequencyResponse:
 
     input: str
     output: str
-    omega: Array
-    response: Complex
-    coherence: Array
-    sigma: Array
+    omega: Array = field(repr=False)
+    response: Complex = field(repr=False)
+    coherence: Array = field(repr=False)
+    sigma: Array = field(repr=False)
     averages: float
-    multiple: Array
+    multiple: Array = field(repr=False)
     dt: float
-    spacing: Array
-    freedom: Array
+    spacing: Array = field(repr=False)
+    freedom: Array = field(repr=False)
     given: tuple[str, ...] = ()
     reference: tuple[str, ...] = ()
 

@@ -1,6 +1,7 @@
 """IdentifiedFlight: one log read by hand and by output error, with the curves for a picture of the fit."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -85,8 +86,7 @@ class IdentifiedFlight:
             ],
             "outputs": self._outputs(),
             "tests": [test for one in found.identification for test in _tests(one.output, one)],
-            "estimates": [self._row(label) for label in (*found.labels, *found.summed)],
-            "held": dict(found.held),
+            "estimates": [self._row(label) for label in (*found.labels, *found.summed, *found.held)],
             "prior": {name: list(one) for name, one in found.prior.items()},
             "correlation": {"labels": list(found.labels), "rows": [_listed(row) for row in found.correlation]},
             "condition_number": found.condition_number,
@@ -100,15 +100,18 @@ class IdentifiedFlight:
         }
 
     def _row(self, label: str) -> dict[str, Any]:
-        found = self.greybox
-        low, high = found.interval(label)
-        by_hand = getattr(self.simple.model, label, None) if self.simple is not None else None
+        found, held = self.greybox, label in self.greybox.fixed
+        low, high = (math.nan, math.nan) if held else found.interval(label)
+        # A value that the method's own checks doubt stands in its text, with the reason.
+        sound = self.simple is not None and not self.simple.remarks
+        by_hand = getattr(self.simple.model, label, None) if self.simple is not None and sound else None
         return {
             "name": label,
-            "unit": found.unit(label),
+            "unit": self.structure.unknowns[label].unit if held else found.unit(label),
             "text": self._text(label),
-            "value": found[label],
-            "sigma": finite(found.sigma(label)),
+            "value": found.fixed[label] if held else found[label],
+            "sigma": None if held else finite(found.sigma(label)),
+            "held": held,
             "low": finite(low),
             "high": finite(high),
             "local": label in found.local,

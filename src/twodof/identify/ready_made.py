@@ -225,7 +225,7 @@ def sufficiency(found: Estimate, wanted: Collection[str] = ()) -> Sufficiency:
     """Judge a fit by the unknowns `wanted`, if it has them, else by every unknown that is not local to a record."""
     asked = [name for name in (*found.labels, *found.summed) if name in wanted]
     asked = asked or [name for name in found.labels if name not in found.local]
-    shares, reasons = {}, []
+    shares, reasons, rough = {}, [], []
     if not found.converged:
         reasons.append("the search did not converge")
     for name in asked:
@@ -235,7 +235,9 @@ def sufficiency(found: Estimate, wanted: Collection[str] = ()) -> Sufficiency:
             continue
         shares[name] = deviations(LEVEL) * sigma / abs(value) if value else float("inf")
         if shares[name] > ENOUGH_SHARE:
-            reasons.append(f"{name} is known to {100.0 * shares[name]:.0f} % only")
+            rough.append(f"{name} ± {100.0 * shares[name]:.0f} %")
+    if rough:
+        reasons.append(f"the 95 % intervals are wide: {', '.join(rough)}")
     return Sufficiency(shares, tuple(reasons), not found.wanders)
 
 

@@ -69,8 +69,8 @@ class Record:
     name: str
     dt: float
     start: float
-    inputs: Mapping[str, Array]
-    outputs: Mapping[str, Samples]
+    inputs: Mapping[str, Array] = field(repr=False)
+    outputs: Mapping[str, Samples] = field(repr=False)
     hold: Mapping[str, str] = field(default_factory=dict)
     gaps: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     flight: str = ""

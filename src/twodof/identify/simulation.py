@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import IdentificationError, is_number, shown
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
@@ -306,7 +305,7 @@ def model_response(
             f"inputs: {', '.join(structure.inputs)}; outputs: {', '.join(structure.outputs)}",
         )
     w = np.asarray(omega, dtype=np.float64)
-    chosen = _chosen(estimate, record)
+    chosen = estimate.places(record)
     values = {name: float(estimate.values[i]) for name, i in chosen.items()}
     if isinstance(structure, Structure):
         scales = {name: one.scale for name, one in structure.unknowns.items()}
@@ -336,31 +335,3 @@ def model_response(
     spread = estimate.quoted[np.ix_(rows, rows)]
     gain, phase = (np.einsum("ik,ij,jk->k", part, spread, part) for part in (slope.real, slope.imag))
     return ModelResponse(input, output, w, nominal, np.sqrt(np.maximum(gain, 0.0)), np.sqrt(np.maximum(phase, 0.0)))
-
-
-def linear_form(estimate: Estimate, dt: float) -> LinearModel:
-    """Return a fitted model of steps `dt` [s] as matrices, at rest; of unknowns of several records the first count.
-
-    Raises DiagramError for a structure that cannot be linearised at rest, IdentificationError for an estimate without
-    its model.
-    """
-    model, found = estimate.model, {name: float(estimate.values[i]) for name, i in _chosen(estimate, "").items()}
-    if isinstance(model, PolynomialModel):
-        a, b, c, d = model.polynomials(estimate.values).matrices()
-        states = tuple(f"x{i + 1}" for i in range(len(a)))
-        return LinearModel(a, b, c, d, dt, states, model.inputs, model.outputs, name=model.kind)
-    if model is None:
-        raise IdentificationError("the estimate does not know its model", "linear_form", "give the result of `fit`")
-    still = {name: 0.0 for name in found if name in estimate.local}
-    at = {name: one for name, one in {**estimate.fixed, **found, **still}.items() if name in model.unknowns}
-    return linearize(model.diagram, dt / model.substeps, at=at)
-
-
-def _chosen(estimate: Estimate, record: str) -> dict[str, int]:
-    """Parameter -> its place among the labels: "mu[doublet.mat]" is mu of that record."""
-    found: dict[str, int] = {}
-    for i, label in enumerate(estimate.labels):
-        name, _, of = label.partition("[")
-        if name not in found or of.rstrip("]") == record:
-            found[name] = i
-    return found

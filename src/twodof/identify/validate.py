@@ -1,7 +1,7 @@
 """How well a model reproduces a record: FIT, VAF, RMSE, and what the residuals still hold."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import NormalDist
 
 import numpy as np
@@ -41,9 +41,9 @@ class Correlation:
     largest of so many would by chance.
     """
 
-    lags: NDArray[np.int64]
-    value: Array
-    bound: Array
+    lags: NDArray[np.int64] = field(repr=False)
+    value: Array = field(repr=False)
+    bound: Array = field(repr=False)
     level: float
 
     @property
@@ -144,9 +144,9 @@ class Comparison:
 
     record: str
     output: str
-    time: Array
-    measured: Array
-    simulated: Array
+    time: Array = field(repr=False)
+    measured: Array = field(repr=False)
+    simulated: Array = field(repr=False)
     fit_percent: float
     vaf: float
     rmse: float

@@ -76,6 +76,8 @@ export interface EstimateRow {
   high: number | null;
   /** Initial state or trim of one record. */
   local: boolean;
+  /** Not estimated. */
+  held: boolean;
   sum: boolean;
   /** Result of the simple method. */
   simple: number | null;
@@ -119,7 +121,6 @@ export interface FitView {
   outputs: OutputCurves[];
   tests: ResidualTest[];
   estimates: EstimateRow[];
-  held: Record<string, number>;
   /** Prior mean and standard deviation. */
   prior: Record<string, [number, number]>;
   correlation: { labels: string[]; rows: (number | null)[][] };

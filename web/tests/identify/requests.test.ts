@@ -81,7 +81,7 @@ describe("curves", () => {
     greybox: [0, Math.PI],
   };
   it("say in closed loop how well the next sample is foretold", () => {
-    expect(fitWords(output)).toBe("FIT 98.0 %");
+    expect(fitWords(output)).toBe("FIT 98.0 %, 2 % of the motion unexplained");
     expect(fitWords({ fit_percent: -169.7, fit_percent_ahead: 97.3 })).toBe(
       "FIT 97.3 % one sample ahead; drawn is the model without the gusts, -169.7 %",
     );

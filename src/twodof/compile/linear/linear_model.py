@@ -34,16 +34,16 @@ class LinearModel:
     point, each output without an influence, and each integer or bool state that only `at` holds.
     """
 
-    a: Array
-    b: Array
-    c: Array
-    d: Array
+    a: Array = field(repr=False)
+    b: Array = field(repr=False)
+    c: Array = field(repr=False)
+    d: Array = field(repr=False)
     dt: float | None
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    point: Mapping[str, float] = field(default_factory=dict)
-    output_values: Mapping[str, float] = field(default_factory=dict)
+    point: Mapping[str, float] = field(default_factory=dict, repr=False)
+    output_values: Mapping[str, float] = field(default_factory=dict, repr=False)
     left_out: Mapping[str, str] = field(default_factory=dict)
     name: str = "diagram"
     remarks: Mapping[str, str] = field(default_factory=dict)

@@ -119,11 +119,9 @@ def _unsure(estimate: Estimate) -> Iterator[str]:
         sense = "more" if estimate.correlation[i, j] > 0.0 else "less"
         one, other = (_symbol(estimate.labels[k]) for k in (i, j))
         yield say("apart", one=one, other=other, correlation=plain(estimate.correlation[i, j], 2), sense=sense)
-    for k in own:
-        label = estimate.labels[k]
-        share = estimate.sigma(label) / abs(estimate.values[k])
-        if share > _ROUGH:
-            yield f"{_symbol(label)} is known to {100.0 * share:.0f} % only."
+    shares = {estimate.labels[k]: estimate.sigma(estimate.labels[k]) / abs(estimate.values[k]) for k in own}
+    if rough := [f"{_symbol(label)} ± {100.0 * share:.0f} %" for label, share in shares.items() if share > _ROUGH]:
+        yield f"Rough (standard deviation): {', '.join(rough)}."
     for remark in estimate.remarks:
         if "residual" not in remark and "told apart" not in remark:
             yield f"{_in_symbols(remark, estimate.labels)}."

@@ -6,7 +6,7 @@ import { curve, type Series } from "../../chart/kinds";
 export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent_ahead">): string {
   const alone = `${output.fit_percent.toFixed(1)} %`;
   return output.fit_percent_ahead === null
-    ? `FIT ${alone}`
+    ? `FIT ${alone}, ${(100 - output.fit_percent).toFixed(0)} % of the motion unexplained`
     : `FIT ${output.fit_percent_ahead.toFixed(1)} % one sample ahead; drawn is the model without the gusts, ${alone}`;
 }
 
