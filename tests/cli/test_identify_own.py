@@ -136,6 +136,28 @@ def test_models_are_named_and_compared(folder: Path, shell: Shell) -> None:
     assert slow["estimates"]["f1"]["value"] == pytest.approx(-(pole**2), abs=0.01)
 
 
+def test_a_model_that_cannot_be_fitted_is_left_out_of_the_comparison(folder: Path, shell: Shell) -> None:
+    offset = folder / "offset.csv"
+    table = np.loadtxt(folder / "m.csv", delimiter=",", skiprows=1, usecols=(0, 1, 2))
+    table[:, 2] += 1e4
+    np.savetxt(offset, table, delimiter=",", header="stamp,volt,tacho", comments="")
+    columns = ["--input", "volt", "--output", "tacho", "--time", "stamp"]
+    models = ["--model", "arx:1,1,1", "--compare", "process:P2U", "--compare", "oe:1,1,1"]
+    said = shell(["identify", str(offset), *columns, *models])
+    assert "note: process:P2U is left out: " in said.err
+    assert "`--detrend`" in said.err
+    assert "note: the models are compared on the data of their fit" in said.err
+
+
+def test_a_table_without_a_flight_asks_for_its_columns(folder: Path, shell: Shell) -> None:
+    said = shell(["identify", str(folder / "m.csv")], 2).err
+    assert (
+        "is no flight of the 2DoF Drone: it has the columns volt [V], tacho, back" in said
+        or "columns volt, tacho" in said
+    )
+    assert "--input NAME --output NAME --model arx:2,2,1" in said
+
+
 def test_a_ready_made_structure_fits_columns_too(folder: Path, shell: Shell) -> None:
     arguments = [str(folder / "m.csv"), "--model", "velocity", "--input", "theta=volt", "--output", "v=back"]
     found = answer([*arguments, "--time", "stamp", "--estimate", "p_v", "--estimate", "k_v"], shell)

@@ -81,7 +81,9 @@ def test_signals_far_from_zero_are_named() -> None:
     far = motor_record(u=1500.0, y=20.0)
     (said,) = offsets(fit(MOTOR, far))
     assert said.startswith("u lies at 1500 +- 0.95 and y lies at 19.61 +- 0.78 in ")
-    assert "estimate u_trim too, or estimate y_bias too, or subtract the mean" in said
+    assert (
+        "estimate u_trim too, or estimate y_bias too, or subtract the means (`--detrend`, `record.detrend()`)" in said
+    )
     # Without an unknown for the offset its error is larger than what moves.
     with pytest.raises(IdentificationError, match=r"diverge.*far from 0, .* account for: subtract the mean"):
         fit(lag_structure(), far)

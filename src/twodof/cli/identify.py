@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 import typer
 
 from twodof.cli.options import Force, Json, argument, flag, option
-from twodof.cli.output import exit_unless, print_result, say_line
+from twodof.cli.output import exit_unless, one_line, print_result, say_line
 from twodof.cli.own_structure import NamedColumns, own_record, read_structure, with_reference
-from twodof.errors import DiagramError, LogError, ParameterError, listed
+from twodof.errors import DiagramError, IdentificationError, LogError, ParameterError, listed
 from twodof.flightlog.atomic import check_free, write_text
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
@@ -190,10 +190,17 @@ def identify(
         )
         about, tables = {"method": method, **_linear(own, records[0])}, [own.table()]
         if compare and isinstance(own, Estimate):
-            rest = {name: fit(name, records) for name in compare}
-            table = compare_models({model if is_named(model) else own.structure: own, **rest}, others or records)
+            models: dict[str, Any] = {model if is_named(model) else own.structure: own}
+            for name in compare:
+                try:
+                    models[name] = fit(name, records)
+                except IdentificationError as refusal:
+                    say_line(f"note: {name} is left out: {one_line(refusal)}")
+            table = compare_models(models, others or records)
             about["compared"] = table.to_json()
             tables.append(table.table())
+            if not others:
+                say_line("note: the models are compared on the data of their fit; give fresh data with --validate")
         drawn = records if reference is None else [with_reference(records[0], files[0], clock, reference)]
         _draw(own, shape, [*drawn, *others], plot, force, reference)
         _say(own, about, tables, out, json)

@@ -374,7 +374,7 @@ def _offsets(problem: Problem, wanted: Collection[str], poor: bool) -> Iterator[
             remedies = [f"estimate {unknown} too" for _, unknown in far if unknown in structure.unknowns]
             yield (
                 f"{' and '.join(text for text, _ in far)} in '{record.name}', far from 0, which the model does not "
-                f"account for: {', or '.join([*remedies, 'subtract the mean'])}"
+                f"account for: {', or '.join([*remedies, 'subtract the means (`--detrend`, `record.detrend()`)'])}"
             )
 
 
