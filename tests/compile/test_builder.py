@@ -11,7 +11,7 @@ import pytest
 
 from tests.compile import examples
 from twodof.blocks import Block, Diagram, Param, Port, State, array_of, int32, sqrt
-from twodof.blocks.library import Gain, Sum
+from twodof.blocks.library import Gain, LowPass, Sum
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.c.emitter import emit
@@ -212,3 +212,13 @@ def test_a_bound_parameter_keeps_the_bounds_of_what_it_sets(make: Callable[..., 
         DiagramError, match=r"root\.k: it is bound to 'k', whose default -1\.0 is outside \[0\.0, 2\.0\]"
     ):
         make(diagram(-1.0), 0.01)
+
+
+def test_a_parameter_bound_to_another_unit_names_both_units() -> None:
+    d = Diagram("clash")
+    d.input("r")
+    d.param("n", 100.0, unit="1/s")
+    d.add("low", LowPass(10.0), u="r", params={"cutoff": "n"})
+    d.output("y", "low")
+    with pytest.raises(DiagramError, match=r"low\.cutoff: it is real \[Hz\], and the parameter 'n' .* is real \[1/s\]"):
+        build(d, 0.01)

@@ -389,8 +389,9 @@ def narrowed(outer: Param, at: str, inner: Param, path: str) -> Param:
     Raises DiagramError if they differ in type or unit, or if the default of `outer` is outside the bounds.
     """
     if not alike(outer, inner) or units_clash(outer, inner):
-        what = f"it is bound to {at!r}, which has another type, width or unit"
-        raise DiagramError(what, path, "declare both with the same")
+        own, bound = (f"{shape(one)} [{one.unit or '-'}]" for one in (inner, outer))
+        what = f"it is {own}, and the parameter {at!r} that is bound to it is {bound}"
+        raise DiagramError(what, path, "declare both with the same type, width and unit")
     low, high = max(outer.low, inner.low), min(outer.high, inner.high)
     for value in np.ravel(np.asarray(outer.value)):
         if outer.kind != "bool" and not low <= value <= high:
