@@ -192,8 +192,9 @@ def identify(
         if compare and isinstance(own, Estimate):
             models: dict[str, Any] = {model if is_named(model) else own.structure: own}
             for name in compare:
+                other = named_model(name, records[0])
                 try:
-                    models[name] = fit(name, records)
+                    models[name] = fit(other, records)
                 except IdentificationError as refusal:
                     say_line(f"note: {name} is left out: {one_line(refusal)}")
             table = compare_models(models, others or records)

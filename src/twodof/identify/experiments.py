@@ -127,11 +127,10 @@ def kind_of(log: FlightLog) -> ExperimentKind:
     kinds = [kind for kind in KINDS.values() if moved or kind.name != "velocity"]
     found = excitations(log) if all(name in log for name in ("T", "q0", "theta0")) else []
     what = "holds none of the experiments from which something is identified"
-    remedy = f"name the experiment ({', '.join(KINDS)}) and a window"
     if not any(name in log for name in BY_MAT):
-        what = f"is no flight of the 2DoF Drone: it has the columns {listed(log)}"
         remedy = "name what was applied and measured, and a model: --input NAME --output NAME --model arx:2,2,1"
-    return _longest(log, found, kinds, what, remedy)[1]
+        raise LogError(f"this is no flight of the 2DoF Drone: its columns are {listed(log)}", log.source, remedy)
+    return _longest(log, found, kinds, what, f"name the experiment ({', '.join(KINDS)}) and a window")[1]
 
 
 def around(log: FlightLog, record: Record, before: float = 1.0, after: float = 2.0) -> Record:
