@@ -170,7 +170,7 @@ def say(line: str) -> None:
 
 
 def main() -> None:
-    """Print a row for each repository, the sums, and reasons if wished."""
+    """Print a row of Markdown for each repository with models, the sums, and reasons if wished."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("repository", nargs="+", type=Path)
     parser.add_argument("--why", action="store_true", help="count the reasons of refusals")
@@ -178,10 +178,8 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     asked = parser.parse_args()
     total: list[Tried] = []
-    say(
-        "repository, commit: models, imported; of those without missing parts: plain, with a chart part; "
-        "of those without missing parts and data: plain, with a chart part"
-    )
+    say("| repository | commit | imported | no missing part: plain | with a chart | nor data: plain | with a chart |")
+    say("|---|---|---|---|---|---|---|")
     with multiprocessing.Pool(asked.processes) as pool:
         for repository in asked.repository:
             found = [one for one in pool.starmap(tried, models(repository), chunksize=1) if one is not None]
@@ -192,12 +190,12 @@ def main() -> None:
                 text=True,
                 check=False,
             ).stdout.strip()
-            say(f"{repository.name}, {commit or '-'}: {_rates(found)}")
+            say(f"| {repository.name.replace('+', '/')} | {commit or '-'} | {_rates(found)} |")
             for one in found if asked.list else ():
                 reasons = "; ".join(f"{why[:90]} ({at})" for why, at in list(one.reasons.items())[:8])
                 invented = f" ({one.invented} names invented, {one.absent} absent)" if one.invented else ""
                 say(f"  {one.path.relative_to(repository)}{invented}: {reasons or 'runs'}")
-    say(f"all: {_rates(total)}")
+    say(f"| all | | {_rates(total)} |")
     if asked.why:
         shorts = [{_short(why) for why in one.reasons} for one in total if not one.missing]
         counts = Counter(why for one in shorts for why in one)
@@ -212,10 +210,11 @@ def _rates(found: list[Tried]) -> str:
 
     whole = [one for one in found if not one.missing]
     parts = [
-        f"{rate([one for one in some if not one.chart])}, {rate([one for one in some if one.chart])}"
+        rate([one for one in some if one.chart == chart])
         for some in (whole, [one for one in whole if not one.absent])
+        for chart in (False, True)
     ]
-    return "; ".join((rate(found), *parts))
+    return " | ".join((rate(found), *parts))
 
 
 if __name__ == "__main__":
