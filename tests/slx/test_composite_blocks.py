@@ -124,6 +124,13 @@ EDGES = "simulink/Discontinuities"
         ("simulink_extras/Transformations/Degrees to Radians", {}, 1, lambda u: np.pi / 180 * u),
         ("simulink/Math Operations/Slider Gain", {"gain": "3"}, 1, lambda u: 3 * u),
         ("Logic", {"Operator": "AND"}, 2, lambda a, b: (a != 0) & (b != 0)),
+        ("ArithShift", {"BitShiftNumber": "3", "BitShiftDirection": "Left"}, 1, lambda u: 8 * u),
+        (
+            "DiscreteFir",
+            {"Coefficients": "[.5 -2 3]", "InitialStates": "4"},
+            1,
+            lambda u: 0.5 * u - 2.0 * before(u, 4.0) + 3.0 * before(before(u, 4.0), 4.0),
+        ),
         (
             "MultiPortSwitch",
             {"Inputs": "2"},
@@ -192,6 +199,67 @@ def test_a_table_is_looked_up_as_mathworks_code_does(tmp_path: Path, count: int,
     held = clip or method == "flat"
     wanted = [look(table, points, tuple(row), method, held) for row in DRAWN[:count].T]
     assert np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("clip", [True, False])
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_table_is_looked_up_at_places_found_apart(tmp_path: Path, count: int, clip: bool) -> None:
+    points = ["[-1 .5 2]", "[-2 -1 0 3]"] if count == 2 else ["[-2 -1 0 3]"]
+    held = {"ExtrapMethod": "Clip" if clip else "Linear"}
+    table = "[1 2.5 .3 4; 2 -1 6 .7; .1 3 5 -2]" if count == 2 else "[1 2.5 .3 4]"
+    values = {"NumberOfTableDimensions": str(count), "Table": table, "Ports": f"[{2 * count}, 1]", **held}
+    blocks: Blocks = [("Interpolation_n-D", "value", values), ("Outport", "y", {})]
+    lines = [("value", "y")]
+    for k, one in enumerate(points, start=1):
+        blocks += [("Inport", f"u{k}", {"Port": str(k), "OutDataTypeStr": "double"})]
+        blocks += [("PreLookup", f"place{k}", {"BreakpointsData": one, "Ports": "[1, 2]", **held})]
+        lines += [(f"u{k}", f"place{k}"), (f"place{k}:1", f"value:{2 * k - 1}"), (f"place{k}:2", f"value:{2 * k}")]
+    found = run(import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT), list(DRAWN[:count]))
+    grid = [ROWS, COLUMNS] if count == 2 else [COLUMNS]
+    wanted = [look(TABLE if count == 2 else TABLE[0], grid, tuple(row), "linear", clip) for row in DRAWN[:count].T]
+    assert np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize(
+    ("method", "wanted"),
+    [
+        ("Interpolation-Extrapolation", lambda u: look(TABLE[0], [COLUMNS], (u,), "linear", False)),
+        ("Interpolation-Use End Values", lambda u: look(TABLE[0], [COLUMNS], (u,), "linear", True)),
+        ("Use Input Below", lambda u: look(TABLE[0], [COLUMNS], (u,), "flat", True)),
+        ("Use Input Above", lambda u: TABLE[0][min(np.searchsorted(COLUMNS, u), 3)]),
+        ("Use Input Nearest", lambda u: TABLE[0][3 - np.argmin(abs(COLUMNS - u)[::-1])]),
+    ],
+)
+def test_a_table_of_signals_is_looked_up(tmp_path: Path, method: str, wanted: Wanted) -> None:
+    table = {"SourceBlock": "simulink/Lookup Tables/Lookup Table Dynamic", "LookUpMeth": method, "Ports": "[3, 1]"}
+    blocks: Blocks = [
+        ("Inport", "u1", {"OutDataTypeStr": "double"}),
+        ("Constant", "points", {"Value": "[-2 -1 0 3]"}),
+        ("Constant", "table", {"Value": "[1 2.5 .3 4]"}),
+        ("Reference", "block", table),
+        ("Outport", "y", {}),
+    ]
+    lines = [("u1", "block:1"), ("points", "block:2"), ("table", "block:3"), ("block", "y")]
+    found = import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
+    assert np.array_equal(run(found, [DRAWN[0]]), [wanted(u) for u in DRAWN[0]])
+
+
+def test_a_truth_table_and_a_row_times_a_matrix(tmp_path: Path) -> None:
+    blocks: Blocks = [
+        *(("Inport", f"u{k}", {"Port": str(k), "OutDataTypeStr": "double"}) for k in (1, 2)),
+        ("Mux", "both", {"Inputs": "2", "Ports": "[2, 1]"}),
+        ("CombinatorialLogic", "truth", {"TruthTable": "[0 1 0; 1 1 1; 0 0 1; 1 0 1]"}),
+        ("Gain", "row", {"Gain": "[1 2 3; 4 5 6]", "Multiplication": "Matrix(u*K)"}),
+        *(("Outport", name, {"Port": str(k)}) for k, name in enumerate(("y", "z"), start=1)),
+    ]
+    lines = [("u1", "both:1"), ("u2", "both:2"), ("both", "truth"), ("both", "row"), ("truth", "y"), ("row", "z")]
+    found = import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
+    assert found.diagram is not None, found.refused
+    u = np.where(abs(DRAWN[:2]) < 1.0, 0.0, DRAWN[:2])
+    out = build(found.diagram, dt=DT).machine().run(STEPS, {"u1": u[0], "u2": u[1]})
+    rows = np.array([[0, 1, 0], [1, 1, 1], [0, 0, 1], [1, 0, 1]])
+    assert np.array_equal(out["y"], rows[2 * (u[0] != 0) + (u[1] != 0)])
+    assert np.array_equal(out["z"], np.outer(u[0], [1.0, 2.0, 3.0]) + np.outer(u[1], [4.0, 5.0, 6.0]))
 
 
 def test_older_tables_and_even_breakpoints_are_read(tmp_path: Path) -> None:

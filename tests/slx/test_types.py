@@ -377,11 +377,25 @@ def test_each_rounding_goes_where_simulink_says(tmp_path: Path, rounding: str, w
     assert flown(found, {"u1": given}, 8)["y"].tolist() == wanted
 
 
+@pytest.mark.parametrize(("rounding", "of"), [("Floor", np.floor), ("Zero", np.trunc), ("Ceiling", np.ceil)])
+def test_a_quotient_of_whole_numbers_is_rounded_and_by_0_the_largest(tmp_path: Path, rounding: str, of: Any) -> None:
+    a, b = np.array([7, -7, 7, -128, 5, -5, 0]), np.array([2, 2, -2, -1, 0, 0, 0])
+    found = of_kinds(tmp_path, ("Product", {"Inputs": "*/", "RndMeth": rounding}), ("int8", "int8"))
+    wanted = [*np.clip(of(a[:4] / b[:4]), -128, 127).astype(int), 127, -128, 127]
+    assert flown(found, {"u1": a, "u2": b}, len(a))["y"].tolist() == wanted
+
+
+def test_a_product_of_doubles_may_be_a_whole_number(tmp_path: Path) -> None:
+    found = of_kinds(tmp_path, ("Product", {"Inputs": "*//", "OutDataTypeStr": "int32"}), ("double",) * 3)
+    a, b, c = DRAWN
+    assert np.array_equal(flown(found, {"u1": 1e3 * a, "u2": b, "u3": c})["y"], np.trunc(1e3 * a / b / c))
+
+
 @pytest.mark.parametrize(
     ("block", "kinds", "said"),
     [
         (("Gain", {"Gain": ".5"}), ("int8",), "its scaling is not known"),
-        (("Product", {"Inputs": "*/"}), ("int8", "int8"), "Inputs = '*/' of int8 is not translated"),
+        (("Product", {"Inputs": "/*"}), ("int8", "int8"), "Inputs = '/*' of int8 is not translated"),
         (("Sum", {"OutDataTypeStr": "Inherit: Inherit via internal rule"}), ("int8", "int16"), "of int16 and int8"),
         (("Sum", {"OutDataTypeStr": "fixdt(1,16,11)"}), ("double", "double"), "the data type 'fixdt(1,16,11)'"),
         (("CompareToConstant", {"const": "2.5"}), ("uint8",), "a comparison of uint8 with 2.5"),
@@ -695,3 +709,34 @@ def test_elements_of_a_bus_without_a_type_are_inputs(tmp_path: Path) -> None:
     found = imported(tmp_path, blocks, [("first", "both:1"), ("second", "both:2"), ("both", "y")])
     y = flown(found, {"Estimates_velocity": DRAWN[0], "Estimates_current": DRAWN[1]})["y"]
     assert np.array_equal(y, DRAWN[0] - DRAWN[1])
+
+
+def test_an_input_without_a_type_is_the_bus_that_is_selected_of_it(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "in", {}),
+        ("BusSelector", "take", {"OutputSignals": "a.rates,a.on, b", "Ports": "[1, 3]"}),
+        ("Gain", "product", {"Gain": "[1 2]", "Multiplication": "Matrix(K*u)"}),
+        ("Sum", "sum", {"Inputs": "+-", "Ports": "[2, 1]"}),
+        *(("Outport", name, {"Port": str(k)}) for k, name in enumerate(("y", "z"), start=1)),
+    ]
+    lines = [("in", "take"), ("take:1", "product"), ("take:2", "sum:1"), ("take:3", "sum:2")]
+    found = imported(tmp_path, blocks, [*lines, ("product", "y"), ("sum", "z")])
+    given = {"in.a.rates": DRAWN[:2].T.copy(), "in.a.on": DRAWN[1], "in.b": DRAWN[2]}
+    out = flown(found, given)
+    assert np.array_equal(out["y"], DRAWN[0] + 2.0 * DRAWN[1])
+    assert np.array_equal(out["z"], DRAWN[1] - DRAWN[2])
+    assert any("what is selected of it" in line.why for line in found.report)
+
+
+def test_signals_of_one_name_are_numbered_in_a_bus(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("Gain", "twice", {"Gain": "2"}),
+        ("BusCreator", "make", {"Inputs": "2", "Ports": "[2, 1]"}),
+        ("BusSelector", "take", {"OutputSignals": "v (signal 2)"}),
+        ("Outport", "y", {}),
+    ]
+    files = model(blocks, [("u", "twice"), ("u", "make:1"), ("twice", "make:2"), ("make", "take"), ("take", "y")])
+    named = {part: text.replace("<Line>", '<Line><P Name="Name">v</P>') for part, text in files.items()}
+    found = flown(import_system(read_model(slx(named, tmp_path / "m.slx")), dt=DT), {"u": DRAWN[0]})
+    assert np.array_equal(found["y"], 2 * DRAWN[0])

@@ -18,7 +18,7 @@ from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, where
 from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, INTEGERS, STORED, WORDS
-from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Maximum, Minimum, Saturation
+from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Gain, Maximum, Minimum, Saturation
 from twodof.slx.composite_blocks import formula
 from twodof.slx.data_types import kind_of
 from twodof.slx.translation import (
@@ -126,12 +126,21 @@ def whole_product(c: Asked, signs: str) -> Made | None:
     if kinds == {"real"} and wanted == "real":
         return None
     c.values.setdefault("RndMeth", "Zero")
-    if ("/" in signs and "real" not in kinds) or len(signs) > 2:
+    if "real" not in kinds and (len(signs) > 2 or signs not in ("**", "*/", "*")):
         raise NotTranslated(f"Inputs = {signs!r} of {' and '.join(sorted(kinds))} is not translated")
+    if signs == "*/" and "real" not in kinds:  # as MathWorks' C has it, also by 0
+        low, high = float(BY_NAME[str(wanted)].low), float(BY_NAME[str(wanted)].high)
+        return whole(c, lambda a, b: where(b == 0.0, where(a < 0.0, b + low, b + high), a / b))
     if not _saturates(c) and kinds == {wanted} and kinds <= set(WORDS):  # the low bits of a product of 64 bits
         return formula(c, lambda t, *v: reduce(operator.mul, v), kinds.pop())
-    ratio = {"*": operator.mul, "/": operator.truediv}[signs[-1]]
-    return whole(c, lambda a, b=1.0: ratio(1.0 / a if signs[0] == "/" else a, b))
+
+    def product(a: Any, *others: Any) -> Any:
+        made = 1.0 / a if signs[0] == "/" else a
+        for sign, one in zip(signs[1:], others, strict=True):
+            made = made * one if sign == "*" else made / one
+        return made
+
+    return whole(c, product)
 
 
 def whole_gain(c: Asked, gain: float) -> Made | None:
@@ -236,14 +245,15 @@ def _compare_to(c: Asked, wanted: float) -> Made:
 
 def _bits(c: Asked) -> Made:
     """Combine the bits of whole numbers with one another, or with a mask."""
-    kind, name = c.kind(*INTEGERS), c.needs("logicop", "AND", "AND", "OR", "NAND", "NOR", "XOR", "NOT")
+    kind, name = c.kind("bool", *INTEGERS), c.needs("logicop", "AND", "AND", "OR", "NAND", "NOR", "XOR", "NOT")
     mask = [int(c.scalar("BitMask", "0"))] if c.text("UseBitMask", "on") == "on" and name != "NOT" else []
     combine = {"A": operator.and_, "O": operator.or_, "X": operator.xor}[name.removeprefix("N")[0]]
     word = "uint32" if kind == "uint32" else "int32"
 
     def of(t: Any, *values: Any) -> Any:
         found = reduce(combine, [*(convert(v, word) for v in values), *mask])
-        return convert(~found if name[0] == "N" else found, kind)
+        found = ~found if name[0] == "N" else found
+        return (found & 1) != 0 if kind == "bool" else convert(found, kind)
 
     return formula(c, of, kind)
 
@@ -254,6 +264,8 @@ def _shift(c: Asked) -> Made:
     direction = c.needs("BitShiftDirection", "Bidirectional", "Left", "Right", "Bidirectional")
     c.needs("BitShiftNumberSource", "Dialog", "Dialog")
     count = int(c.scalar("BitShiftNumber", "0")) * (-1 if direction == "Left" else 1)
+    if kind == "real" and not c.scalar("BinPtShiftNumber", "0"):
+        return same(c, Gain(2.0**-count, c.width))
     if kind not in INTEGERS or c.scalar("BinPtShiftNumber", "0") or abs(count) > 31:
         raise NotTranslated(f"a shift of {c.inputs[0]} by {count} is not translated")
     word = "uint32" if kind == "uint32" else "int32"

@@ -5,6 +5,7 @@ a small diagram. What it does not cover it refuses by the parameter's name. Math
 left to right; a Discrete Derivative keeps the scaled input, and so on: each function follows that order of operations.
 """
 
+import math
 import operator
 from collections.abc import Callable
 from dataclasses import replace
@@ -100,6 +101,10 @@ def _gain(c: Asked) -> Made:
         return same(c, Gain(float(gain.flat[0]), c.width))
     if mode.startswith("Element"):
         return each(_gain, "Gain")(c)
+    if mode == "Matrix(u*K)":  # a vector is a row where that fits
+        if gain.shape[0] == 1:
+            return matrix(c, MATRIX_LINES["Gain"])
+        gain, mode = gain.T, "Matrix(K*u)"
     if mode not in ("Matrix(K*u)", "Matrix(K*u) (u vector)"):
         raise NotTranslated(f"Multiplication = {mode!r} is not translated")
     if gain.shape[1] != (c.width or 1):
@@ -222,9 +227,10 @@ def _switch(c: Asked) -> Made:
         low, high = (COMPARISONS[compare](value, threshold) for value in (0.0, 1.0))
         if low == high:  # whatever the control is
             condition = d.add("condition", Constant(high, "bool"))
-    elif control.kind != "real" and not threshold.is_integer():
-        raise NotTranslated(f"a comparison of {control} with Threshold = {threshold:g} is not translated")
     else:
+        if control.kind != "real" and not threshold.is_integer():
+            threshold = math.floor(threshold + 0.5)
+            c.notes.append(f"Threshold is rounded to {threshold}, as the control is {control}")
         condition = d.add("condition", CompareToConstant(compare, threshold, control.kind), u="u2")
     chosen = {port: expanded(d, name, one, width, kind) for port, name, one in (("a", "u1", first), ("b", "u3", third))}
     d.add("y", Switch(kind, width), inputs={"condition": condition, **chosen})
@@ -307,6 +313,7 @@ RULES: dict[str, Rule] = {
     "Constant": _constant,
     "DeadZone": lambda c: same(c, DeadZone(c.scalar("LowerValue", "-0.5"), c.scalar("UpperValue", "0.5"), c.width)),
     "Demux": _demux,
+    "Enumerated Constant": _constant,
     "DotProduct": _dot,
     "Gain": _gain,
     "Ground": lambda c: _constant(replace(c, values={"OutDataTypeStr": "double", **c.values, "Value": "0"})),
@@ -320,6 +327,7 @@ RULES: dict[str, Rule] = {
     "Signum": lambda c: same(c, Sign(c.kind("real"), c.width)),
     "Sum": _sum,
     "Switch": _switch,
+    "Width": lambda c: Made(Constant(float(c.inputs[0].width or 1)), [Signal()]),
     "UnaryMinus": lambda c: whole(c, operator.neg) or same(c, Sum("-", "real", c.width)),
     "ZeroOrderHold": holds,
     **dict.fromkeys(DROPPED, _dropped),

@@ -139,6 +139,7 @@ def _creator(c: Asked) -> Made:
         text = c.values.get("Inputs", "4")
         given = re.findall(r"[^,']+", text) if not text.strip().isdigit() else []
         labels = [given[k].strip() if k < len(given) else label for k, label in enumerate(c.labels)]
+        labels = [f"{one} (signal {k})" if labels.count(one) > 1 else one for k, one in enumerate(labels, start=1)]
         named = [field_name(label or f"signal{k + 1}") for k, label in enumerate(labels)]
         bus = Bus("bus", [one.port(name) for name, one in zip(named, c.inputs, strict=True)])
     else:

@@ -305,6 +305,10 @@ def _transfer(c: Asked) -> Made:
     for name in ("NumeratorSource", "DenominatorSource", "InitialStatesSource"):
         c.needs(name, "Dialog", "Dialog")
     top, bottom = _polynomial(c, "Numerator", "[1]"), _polynomial(c, "Denominator", "[1 2 1]")
+    while len(bottom) > 1 and bottom[0] == 0.0:
+        bottom = bottom[1:]
+    if len(bottom) == 1 and len(top) == 1:
+        return Made(Gain(top[0] / bottom[0]), [Signal()])
     return Made(TransferFunction(top, bottom), [Signal()])
 
 
@@ -370,6 +374,14 @@ def _filter(c: Asked) -> Made:
 def _filters(c: Asked) -> Made:
     ported = "Input port" in (c.text("NumeratorSource"), c.text("DenominatorSource"))
     return _filter(c) if ported else each(_filter)(c)
+
+
+def _fir(c: Asked) -> Made:
+    """Return a filter without a denominator."""
+    c.needs("CoefSource", "Dialog parameters", "Dialog parameters")
+    c.needs("FilterStructure", "Direct form", "Direct form")
+    values = {"Numerator": c.text("Coefficients", "[0.5 0.5]"), "Denominator": "1", "FilterStructure": "Direct form II"}
+    return _filters(replace(c, values={**c.values, **values}))
 
 
 def _resettable(c: Asked, item: Item, edge: str) -> Made:
@@ -453,6 +465,7 @@ DYNAMIC_RULES: dict[str, Rule] = {
     "DigitalClock": _clock,
     "Discrete Derivative": _discrete_derivative,
     "DiscreteFilter": _filters,
+    "DiscreteFir": _fir,
     "DiscreteIntegrator": _discrete_integrator,
     "DiscreteTransferFcn": _filters,
     "Integer Delay": _library_delay,

@@ -19,6 +19,7 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus, leaves_of
 from twodof.blocks.diagram import BASE, Rate
+from twodof.blocks.enumeration import Kind
 from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, carried_out
@@ -35,6 +36,7 @@ from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.model import (
     CODED,
+    COMPUTED,
     Model,
     SimulinkBlock,
     System,
@@ -46,7 +48,7 @@ from twodof.slx.model import (
 )
 from twodof.slx.precision import ROUTES, precise
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
-from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, siblings, type_declared, type_text, width_wanted
+from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, bus_wanted, siblings, type_declared, type_text, width_wanted
 from twodof.slx.toolbox_blocks import TOOLBOXES
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
 from twodof.slx.wiring import Wiring, safe
@@ -160,13 +162,11 @@ class _Import(Wiring):
         inner: MutableMapping[str, Value] = {}
         for name, (kind, text) in block.mask.parameters.items():
             said = given.get(name, text)
-            if kind == "edit":
-                try:
-                    inner[name] = evaluate(said, names, name)
-                except DiagramError:
-                    continue  # who asks for it is refused
-            else:
-                inner[name] = said
+            try:
+                inner[name] = evaluate(said, names, name) if kind in COMPUTED else said
+            except DiagramError:  # who asks for it is refused
+                if kind == "promote":  # of a choice
+                    inner[name] = said
         run(block.mask.initialization, inner, self.folders)
         return {**names, **inner}
 
@@ -387,7 +387,11 @@ class _Import(Wiring):
         if said.startswith("Inherit") and (wanted := type_declared(self.sheets, *key)):
             self.approximated.setdefault(key, []).append(f"inherits its type: taken for {wanted}, declared behind it")
             said = wanted
-        kind = "real" if said.startswith("Inherit") else kind_of(said, names)
+        kind: Kind = "real" if said.startswith("Inherit") else kind_of(said, names)
+        if said.startswith("Inherit") and (bus := bus_wanted(self.sheets, *key, self.code)) is not None:
+            self.approximated.setdefault(key, []).append("inherits its type: taken for a bus of what is selected of it")
+            self.signals[*key, 1] = Signal(bus)
+            return
         size = evaluate(block.values.get("PortDimensions", "-1"), names, "PortDimensions")
         elements = [int(n) for n in as_array(number(size)).flatten()]
         if block.values.get("OutputFunctionCall", "off") == "on":

@@ -69,7 +69,11 @@ class Mask:
     @property
     def computed(self) -> dict[str, str]:
         """The parameters whose text is an expression."""
-        return {name: text for name, (kind, text) in self.parameters.items() if kind == "edit"}
+        return {name: text for name, (kind, text) in self.parameters.items() if kind in COMPUTED}
+
+
+COMPUTED = ("edit", "promote")
+"""Kinds of a mask's parameters that are expressions: one that is promoted from inside may be a choice too."""
 
 
 @dataclass

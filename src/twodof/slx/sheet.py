@@ -3,12 +3,15 @@
 Types that a block inherits from behind, and the widths of ports that say none, are those that the blocks behind want.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from typing import Any
 
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
+from twodof.blocks.declarations import Port
 from twodof.errors import DiagramError
+from twodof.slx.data_types import field_name
 from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.function_block import last_index
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
@@ -20,6 +23,13 @@ KEEPS_TYPE = (
     *("SignalSpecification", "Switch", "UnaryMinus", "UnitDelay", "ZeroOrderHold"),
 )
 """Types of blocks whose output has the type of what they combine."""
+KEEPS_WIDTH = (
+    *(*KEEPS_TYPE, "DataTypeConversion", "DeadZone", "Derivative", "DiscreteIntegrator", "Integrator", "Product"),
+    *("Quantizer", "RateLimiter", "Signum", "SignalConversion", "TransferFcn", "TransportDelay", "Trigonometry"),
+)
+"""Types of blocks whose output is as wide as their inputs."""
+_SIZED = {"CombinatorialLogic": "TruthTable", "DiscreteStateSpace": "B", "Gain": "Gain", "StateSpace": "B"}
+"""Types of blocks whose parameter says how wide their input is."""
 BACKWARDS = "Inherit: Inherit via back propagation"
 _TEXTS = {"real": "double", "float32": "single", "bool": "boolean", "float64": "uint64"}
 
@@ -83,10 +93,12 @@ def ends(sheets: Sheets, path: str, pin: Pin, depth: int = 0) -> Iterator[tuple[
                 yield from ends(sheets, sheet.owner[0], outer, depth + 1)
 
 
-def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkChart]) -> int:
-    """Return how many elements a block behind an output wants; 1 where none says it. `code` are MATLAB Functions."""
+def width_wanted(
+    sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkChart], depth: int = 0, output: int = 1
+) -> int:
+    """Return how many elements the blocks behind an output want; 1 where none says it. `code` are MATLAB Functions."""
     most = 1
-    for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
+    for at, pin, block in ends(sheets, path, Pin(sid, "out", output)) if depth < 10 else ():
         wanted = 1
         if block.type == "Demux":
             said = block.values.get("Outputs", "4")
@@ -94,12 +106,14 @@ def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, Simulin
         elif block.type == "Selector":
             said = block.values.get("InputPortWidth", "1")
             wanted = int(said) if said.isdigit() else 1
-        elif block.type in ("Gain", "StateSpace"):
-            name = "Gain" if block.type == "Gain" else "B"
+        elif (name := _SIZED.get(block.type, "")) and (
+            block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
+        ):
             with suppress(DiagramError, NotComputed):
                 found = as_array(number(evaluate(block.values.get(name, "1"), sheets[at].names, name)))
-                matrix = block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
-                wanted = found.shape[1] if matrix else 1
+                wanted = found.shape[0].bit_length() - 1 if name == "TruthTable" else found.shape[1]
+        elif block.type in KEEPS_WIDTH and pin.number in _data(sheets[at], pin, block):
+            wanted = width_wanted(sheets, at, pin.sid, code, depth + 1)
         elif block.kind == "MATLAB Function":
             one = code.get(below(at, block))
             wanted = 1 if one is None else last_index(one.text, pin.number)
@@ -107,11 +121,41 @@ def width_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, Simulin
     return most
 
 
+def bus_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkChart]) -> Bus | None:
+    """Return the bus of doubles with the elements that Bus Selectors behind an output take; None without one."""
+    tree: dict[str, Any] = {}
+    for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
+        taken = block.values.get("OutputSignals", "").split(",") if block.type == "BusSelector" else []
+        for k, text in enumerate(filter(None, taken), start=1):
+            *outer, last = [field_name(part) for part in text.split(".")]
+            inner = tree
+            for name in outer:
+                if not isinstance(inner.setdefault(name, {}), dict):
+                    inner[name] = {}  # selected whole, and by its elements
+                inner = inner[name]
+            inner.setdefault(last, width_wanted(sheets, at, pin.sid, code, output=k))
+    return _bus("bus", tree) if tree else None
+
+
+def _bus(name: str, tree: Mapping[str, Any]) -> Bus:
+    """Return the bus of a tree of names, whose leaves are widths."""
+    ports = [
+        Port(one, _bus(one, below)) if isinstance(below, Mapping) else Port(one, width=below if below > 1 else None)
+        for one, below in tree.items()
+    ]
+    return Bus(name, ports)
+
+
+def _data(sheet: Sheet, pin: Pin, block: SimulinkBlock) -> Sequence[int]:
+    """Return the numbers of the inputs of a block that hold what it passes on."""
+    return [1, 3] if block.type == "Switch" else range(1, sheet.inputs.get(pin.sid, 1) + 1)
+
+
 def siblings(sheets: Sheets, path: str, sid: str, depth: int = 0) -> Iterator[tuple[str, Pin]]:
     """Yield the other inputs of the blocks behind an output that want one type of all their inputs."""
     for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
         if block.type in ("RelationalOperator", "Product") or block.type in KEEPS_TYPE:
-            data = [1, 3] if block.type == "Switch" else range(1, sheets[at].inputs.get(pin.sid, 1) + 1)
+            data = _data(sheets[at], pin, block)
             if pin.number in data:
                 yield from ((at, Pin(pin.sid, "in", k)) for k in data if k != pin.number)
             if len(data) == 1 and depth < 20:

@@ -1,7 +1,7 @@
-"""Blocks of MathWorks' toolboxes, each as a function in MATLAB's language: filters, a fit, an estimator.
+"""Blocks as a function in MATLAB's language: tables from signals, and of toolboxes filters, a fit, an estimator.
 
 A function has the order of operations of MathWorks' C. What a block's dialog offers beyond it is refused by its name.
-Source: reference pages of Control System Toolbox and DSP System Toolbox.
+Source: reference pages of Simulink, Control System Toolbox and DSP System Toolbox.
 """
 
 from collections.abc import Mapping
@@ -142,13 +142,83 @@ def _kalman(c: Asked) -> Made:
     return _function(c, code, constants)
 
 
+_PLACE = """k = 1;
+    for i = 2:numel(p) - 1
+      if u >= p(i), k = i; end
+    end
+    r = (u - p(k)) / (p(k + 1) - p(k));"""
+"""The place of u among breakpoints: that of the one below, and the share of the way to the next one."""
+_WITHIN = "r = min(max(r, 0), 1);"
+
+
+def _prelookup(c: Asked) -> Made:
+    """Return the place of the input among breakpoints, from 0, and its share of the interval."""
+    for name, only in {"OutputSelection": "Index and fraction", "BreakpointsDataSource": "Dialog"}.items():
+        c.needs(name, only, only)
+    c.needs("BreakpointsSpecification", "Explicit values", "Explicit values")
+    kind = c.pick("IndexDataTypeStr", "uint32", {"uint32": "uint32", "int32": "int32"})
+    within = c.pick("ExtrapMethod", "Clip", {"Clip": _WITHIN, "Linear": ""})
+    code = f"function [n, r] = f(u, p)\n{_PLACE}\n{within}\nn = {kind}(k - 1);"
+    return _function(c, code, {"p": c.value("BreakpointsData", "[10:10:110]").astype(float)})
+
+
+def _interpolation(c: Asked) -> Made:
+    """Return the value of a table at the places and shares that Prelookup blocks give."""
+    count = int(c.scalar("NumberOfTableDimensions", "2"))
+    if len(c.inputs) != 2 * count or count > 2 or c.scalar("NumSelectionDims", "0"):
+        raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
+    c.needs("TableSource", "Dialog", "Dialog")
+    c.needs("InterpMethod", "Linear", "Linear", "Linear point-slope")
+    within = c.pick("ExtrapMethod", "Clip", {"Clip": _WITHIN, "None - Clip": _WITHIN, "Linear": ""})
+    names = ["n", "r", "m", "q"][: 2 * count]
+    last = "" if count == 1 else ", double(m) + j"
+    code = f"""function y = f({", ".join(names)}, T)
+    {within} {within.replace("r", "q") if count > 1 else ""}
+    y = zeros({count}, 1);
+    for j = 1:{count}
+      a = T(double(n) + 1{last}); y(j) = (T(double(n) + 2{last}) - a) * r + a;
+    end
+    y = {"y(1)" if count == 1 else "(y(2) - y(1)) * q + y(1)"};"""
+    return _function(c, code, {"T": c.value("Table", "sqrt([1:11]' * [1:11])").astype(float)})
+
+
+def _dynamic_lookup(c: Asked) -> Made:
+    """Return the value of a table whose breakpoints and values are signals."""
+    if c.inputs[0].width is not None:
+        raise NotTranslated("a table of a vector is not translated")
+    said = c.text("OutDataTypeStr", "double")
+    if said not in ("double", "fixdt('double')") and not said.startswith("Inherit"):
+        raise NotTranslated(f"OutDataTypeStr = {said!r} is not translated")
+    between = "y = (t(k + 1) - t(k)) * r + t(k);"
+    methods = {"Interpolation-Extrapolation": between, "Interpolation-Use End Values": f"{_WITHIN} {between}",
+               "Use Input Nearest": "y = t(k + (r >= 0.5));", "Use Input Below": "y = t(k + (r >= 1));",
+               "Use Input Above": "y = t(k + (r > 0));"}  # fmt: skip
+    return _function(
+        c, f"function y = f(u, p, t)\n{_PLACE}\n{c.pick('LookUpMeth', 'Interpolation-Use End Values', methods)}"
+    )
+
+
+def _combined(c: Asked) -> Made:
+    """Return the row of a truth table that the inputs' truth, the first as the highest bit, is the number of."""
+    table = c.value("TruthTable", "[0 0;0 1;0 1;1 0;0 1;1 0;1 0;1 1]").astype(float)
+    width = c.inputs[0].width or 1
+    if table.shape[0] != 2**width:
+        raise NotTranslated(f"TruthTable has {table.shape[0]} rows and the input {width} elements")
+    return _function(c, "function y = f(u, B, T)\ny = T(1 + B * (u(:) ~= 0), :)';",
+                     {"B": 2.0 ** np.arange(width - 1, -1, -1)[None, :], "T": table != 0})  # fmt: skip
+
+
 TOOLBOX_RULES: dict[str, Rule] = {
+    "CombinatorialLogic": _combined,
     "Delay Line": _line,
     "FrameConversion": passes,
+    "Interpolation_n-D": _interpolation,
     "Kalman Filter": _kalman,
     "Least Squares Polynomial Fit": _polynomial,
+    "Lookup Table Dynamic": _dynamic_lookup,
     "Median Filter": _median,
     "Moving Average": _average,
+    "PreLookup": _prelookup,
     "S-R Flip-Flop": _flip_flop,
     "Tapped Delay": _taps,
 }
