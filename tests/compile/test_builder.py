@@ -203,6 +203,7 @@ def test_a_bound_parameter_keeps_the_bounds_of_what_it_sets(make: Callable[..., 
         d.output("y", "root")
         return d
 
+    assert repr(diagram(1.0)) == "<Diagram bound: 1 parts; inputs r; outputs y; parameters k>"
     m = make(diagram(1.0), 0.01).machine()
     assert m.step({"r": 3.0})["y"] == 3.0
     for value in (-1.0, 3.0):

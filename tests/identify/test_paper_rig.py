@@ -145,6 +145,7 @@ def test_results_print_as_one_short_line(greybox: Estimate, pitch_records: tuple
     assert repr(flight).startswith(
         "<Flight doublet, seed 3: good; log=<FlightLog log: 10.00 to 32.20 s, 22 channels: acc"
     )
+    assert repr(pitch_records[0]) == "<Record impulse: 5000 steps of 0.004 s from 0 s; inputs M; outputs q>"
     assert repr(flight.log["q"]) == "<Channel q [rad/s]: 5550 samples, 10.00 to 32.20 s>"
     mu, sigma = greybox["mu[impulse]"], greybox.sigma("mu[impulse]")
     assert f" mu[impulse] {mu:.4g} +- {sigma:.2g} rad/s2, " in repr(greybox)

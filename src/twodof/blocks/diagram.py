@@ -10,7 +10,7 @@ from twodof.blocks.block import EDGES, Block
 from twodof.blocks.bus import leaves_of
 from twodof.blocks.declarations import Param, Port, Typed, check_lists, check_name, check_path, located, unknown_name
 from twodof.blocks.enumeration import Enumeration, Kind, plain_data
-from twodof.errors import DiagramError, nearest, shown
+from twodof.errors import DiagramError, listed, nearest, shown
 
 MAX_DIVIDER = 2**31 - 1
 MAX_NESTED = 2**256  # the product of the dividers of a part and of the diagrams around it
@@ -100,6 +100,10 @@ class Diagram:
         self.input_positions: dict[str, tuple[float, float]] = {}
         self.output_positions: dict[str, tuple[float, float]] = {}
         self._buses: set[str] = set()  # the paths of inputs that are buses
+
+    def __repr__(self) -> str:
+        ports = f"inputs {listed(self.inputs)}; outputs {listed(self.outputs)}"
+        return f"<Diagram {self.name}: {len(self.parts)} parts; {ports}; parameters {listed(self.params)}>"
 
     def input(
         self,

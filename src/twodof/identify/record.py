@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import IdentificationError, is_number, shown
+from twodof.errors import IdentificationError, is_number, listed, shown
 from twodof.flightlog.log import FlightLog
 
 Array = NDArray[np.float64]
@@ -69,8 +69,8 @@ class Record:
     name: str
     dt: float
     start: float
-    inputs: Mapping[str, Array] = field(repr=False)
-    outputs: Mapping[str, Samples] = field(repr=False)
+    inputs: Mapping[str, Array]
+    outputs: Mapping[str, Samples]
     hold: Mapping[str, str] = field(default_factory=dict)
     gaps: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     flight: str = ""
@@ -82,6 +82,10 @@ class Record:
                     f"no hold named {hold!r:.40} is defined for an input '{name}'",
                     f"holds: {', '.join(HOLDS)}; inputs: {', '.join(self.inputs)}",
                 )
+
+    def __repr__(self) -> str:
+        ports = f"inputs {listed(self.inputs)}; outputs {listed(self.outputs)}"
+        return f"<Record {self.name}: {self.steps} steps of {self.dt:g} s from {self.start:g} s; {ports}>"
 
     def error(self, what: str, remedy: str = "") -> IdentificationError:
         """Return the error `what` of this record."""
