@@ -12,7 +12,7 @@ from twodof.blocks import Bus, Diagram, Port
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.errors import DiagramError
-from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.function_block import MatlabFunction, last_index
 from twodof.slx.translation import Signal
 
 pytestmark = pytest.mark.slow
@@ -438,6 +438,15 @@ def test_angles_where_two_axes_meet_are_still_those_of_the_turn() -> None:
     assert np.allclose(found["S"], 0.0, atol=1e-14)
 
 
+def test_the_width_of_an_argument_is_its_largest_index(tmp_path: Path) -> None:
+    (tmp_path / "skew.m").write_text("function S = skew(w)\nS = [0 -w(3) w(2); w(3) 0 -w(1); -w(2) w(1) 0];")
+    code = """function y = f(a, b, c, d, e, g)
+    y = a(1:4)' + a(2) + b([1 2, 6]) + skew(c) * turned(1, d) + s.e(5) + e(1, 7) + g(12, 1);
+    function r = turned(n, q)
+    r = skew(q) + turned(q, n) + eul2quat(q) + q(4)';"""
+    assert [last_index(code, k, [tmp_path]) for k in range(1, 8)] == [4, 6, 3, 4, 1, 12, 1]
+
+
 def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:
     (tmp_path / "smoothed.m").write_text(
         "function y = smoothed(u)\n% first order\npersistent x\nif isempty(x), x = 0; end\n"
@@ -472,6 +481,35 @@ def test_a_bus_is_a_structure() -> None:
     given = {"p": 1.0, "q": [2.0, 3.0], "inner": {"n": 7}}
     assert list(machine.step({"s": given, "g": 0.5})["y"]) == [1.0, 2.0, 3.5, 1.0]
     assert list(machine.step({"s": {**given, "p": -1.0}, "g": 0.5})["y"]) == [-1.0, 2.0, 3.5, 7.0]
+
+
+def test_a_structure_is_a_bus_and_a_state_by_its_fields() -> None:
+    code = """function [s, y] = f(u)
+    persistent p
+    if isempty(p), p.n = int8(3); p.at.x = 0; p.at.v = [1; 2]; end
+    p.n = p.n + 1; p.at.x = p.at.x + u;
+    if u > 0, p.at.v(1) = u; end
+    s = p; s.at.x = -p.at.x; y = numel(fieldnames(p)) + isfield(p, 'n');
+    end"""
+    with pytest.raises(DiagramError, match="line 6: fieldnames is not computed"):
+        MatlabFunction(code, [REAL])
+    bus = Bus("Sent", [Port("at", Bus("At", [Port("x"), Port("v", width=2)])), Port("n", "int8")])
+    block = MatlabFunction(code.replace("numel(fieldnames(p)) +", "p.at.v(1) *"), [REAL], buses={"s": bus})
+    assert [(s.name, s.kind, s.initial) for s in block.states] == [
+        ("f_p_n", "int8", 3), ("f_p_at_x", "real", 0.0), ("f_p_at_v", "real", [1.0, 2.0])
+    ]  # fmt: skip
+    assert [port.name for port in block.outputs] == ["s.at.x", "s.at.v", "s.n", "y"]
+    d = Diagram("d")
+    d.input("u")
+    d.add("f", block, u="u")
+    d.output("s", "f.s")
+    d.output("y", "f.y")
+    machine = build(from_json(to_json(d)), dt=0.01).machine()
+    assert [machine.step({"u": u})["y"] for u in (-1.0, 5.0)] == [1.0, 5.0]
+    found = machine.step({"u": 1.0})
+    assert (found["s.at.x"], list(found["s.at.v"]), found["s.n"]) == (-5.0, [1.0, 2.0], 6)
+    with pytest.raises(DiagramError, match="the fields of the output s are not those of the bus Sent"):
+        MatlabFunction("function s = f(u)\ns.n = u;", [REAL], buses={"s": bus})
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,13 @@ Charts in MATLAB's language are translated, without events and graphical functio
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from twodof.blocks.bus import Bus, grouped
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
@@ -486,6 +488,18 @@ def _check_overflow(chart: SimulinkChart, item: MatlabFunction) -> None:
         raise NotTranslated("its integers wrap around: let it saturate on integer overflow")
 
 
+def _buses(chart: SimulinkChart, names: Mapping[str, Value]) -> dict[str, Bus]:
+    """Return the buses that outputs of a MATLAB Function are declared to be."""
+    inside = [one for one in (chart.form or {}).get("inside", []) if one["tag"] == "data"]
+    outputs = {one["name"]: one["values"] for one in inside if one["values"].get("scope") == "OUTPUT_DATA"}
+    found: dict[str, Bus] = {}
+    for name, values in outputs.items():
+        with suppress(NotTranslated):  # of a bus that is not known, the structure says the fields
+            kind = kind_of(values.get("dataType", "double"), names)
+            found |= {name: kind} if isinstance(kind, Bus) else {}
+    return found
+
+
 def function_rule(chart: SimulinkChart | None) -> Rule:
     """Return the rule of a MATLAB Function or a chart, which may call the functions of .m files.
 
@@ -503,7 +517,7 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
         if blocks and not outputs:
             return Made(None, [])
         if chart.function:
-            item = MatlabFunction(chart.text, c.inputs, c.names, inputs, folders=c.folders)
+            item = MatlabFunction(chart.text, c.inputs, c.names, inputs, None, c.folders, _buses(chart, c.names))
         elif chart.form is None or len(inputs) != len(c.inputs):
             raise NotTranslated("its chart is not read from this form of file")
         else:
@@ -517,6 +531,7 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
                 raise NotTranslated(f"{owner}: {line[2]}" if line is not None and owner else reason.what) from None
         _check_overflow(chart, item)
         c.notes += item.notes
-        return Made(item, [Signal(port.kind, port.width, port.shape) for port in item.outputs], expand=False)
+        ports = [replace(one, kind=item.buses.get(one.name, one.kind)) for one in grouped(item.outputs)]
+        return Made(item, [Signal(port.kind, port.width, port.shape) for port in ports], expand=False)
 
     return made

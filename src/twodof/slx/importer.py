@@ -401,7 +401,7 @@ class _Import(Wiring):
         if said == "single" and SINGLE not in self.names:
             self.approximated.setdefault(key, []).append(_SINGLE)
         if elements == [-1]:
-            elements = [1 if isinstance(kind, Bus) else width_wanted(self.sheets, *key, self.code)]
+            elements = [1 if isinstance(kind, Bus) else width_wanted(self.sheets, *key, self.code, self.folders)]
             if elements != [1] or said.startswith("Inherit"):
                 shape = f"a vector of {elements[0]} {kind}" if elements != [1] else f"a scalar {kind}"
                 shape = shape.replace("real", "doubles" if elements != [1] else "double")
@@ -506,7 +506,7 @@ class _Import(Wiring):
             found = as_array(number(evaluate(values.get(name, "0"), self.sheets[key[0]].names, name)))
             size = found.shape[0] if name == "C" else found.size
         if size == 1 and name != "C":
-            size = width_wanted(self.sheets, *key, self.code)
+            size = width_wanted(self.sheets, *key, self.code, self.folders)
         queue, seen = [key], {key}
         for at in queue:
             for one in behind.get((*at, 1), ()):

@@ -5,6 +5,7 @@ Types that a block inherits from behind, and the widths of ports that say none, 
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from twodof.blocks import Diagram
@@ -94,7 +95,13 @@ def ends(sheets: Sheets, path: str, pin: Pin, depth: int = 0) -> Iterator[tuple[
 
 
 def width_wanted(
-    sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkChart], depth: int = 0, output: int = 1
+    sheets: Sheets,
+    path: str,
+    sid: str,
+    code: Mapping[str, SimulinkChart],
+    folders: Sequence[Path],
+    depth: int = 0,
+    output: int = 1,
 ) -> int:
     """Return how many elements the blocks behind an output want; 1 where none says it. `code` are MATLAB Functions."""
     most = 1
@@ -113,10 +120,10 @@ def width_wanted(
                 found = as_array(number(evaluate(block.values.get(name, "1"), sheets[at].names, name)))
                 wanted = found.shape[0].bit_length() - 1 if name == "TruthTable" else found.shape[1]
         elif block.type in KEEPS_WIDTH and pin.number in _data(sheets[at], pin, block):
-            wanted = width_wanted(sheets, at, pin.sid, code, depth + 1)
+            wanted = width_wanted(sheets, at, pin.sid, code, folders, depth + 1)
         elif block.kind == "MATLAB Function":
             one = code.get(below(at, block))
-            wanted = 1 if one is None else last_index(one.text, pin.number)
+            wanted = 1 if one is None else last_index(one.text, pin.number, folders)
         most = max(most, wanted)
     return most
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.block import Block, Clock
+from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port, State
 from twodof.blocks.expressions.arrays import flat_of, shape_of, shaped, vector
 from twodof.blocks.expressions.expr import Expr, tracing
@@ -32,9 +33,12 @@ from twodof.slx.matlab.values import (
     filled,
     is_signal,
     lifted,
+    stored,
 )
 from twodof.slx.translation import Signal
 
+MOST_GUESSED = 9999
+"""Largest width that an index may say."""
 _CALLED = "was_called"
 Names = dict[str, Value]
 
@@ -44,8 +48,8 @@ class MatlabFunction(Block):
 
     Arguments that are not among the input `ports` have values of the workspace, `names`; without ports they are the
     last ones. `declared` are kinds of names, as a chart has them: then the function sees all `names`. It calls the
-    functions of .m files in `folders`. `notes` say what is left out. Raises DiagramError with the line of a statement
-    that is not translated.
+    functions of .m files in `folders`. A structure is a bus; `buses` order the fields of outputs. `notes` say what is
+    left out. Raises DiagramError with the line of a statement that is not translated.
     """
 
     def __init__(
@@ -56,7 +60,9 @@ class MatlabFunction(Block):
         ports: Sequence[str] = (),
         declared: Mapping[str, str] | None = None,
         folders: Sequence[Path] = (),
+        buses: Mapping[str, Bus] | None = None,
     ) -> None:
+        self.buses = buses or {}
         try:
             self.code = Code(code, folders)
             self.code.known |= {
@@ -87,7 +93,8 @@ class MatlabFunction(Block):
         for name, value in kept.items():
             if is_empty(value) or not isinstance(value, np.ndarray):
                 raise NotComputed(f"the persistent {name.split('.')[1]} is not an array after the first call")
-        initial = {name: self.code.initial.get(name) for name in kept}
+        began = _flat(self.code.initial)
+        initial = {name: began.get(name) for name in kept}
         self.first = any(
             not isinstance(one, np.ndarray) or is_signal(one) or one.shape != kept[name].shape
             for name, one in initial.items()
@@ -116,13 +123,19 @@ class MatlabFunction(Block):
             self.constants[name] if name in self.constants else value_of(u[_port(name)])
             for name in self.code.main.arguments
         ]
-        evaluation = Evaluation(dict(kept))
+        evaluation = Evaluation(_nested(kept, 2))
         names = call(self.code, self.code.main, given, evaluation)
-        results = {name: names[name] for name in self.code.main.results}
-        for name, value in results.items():
-            if not isinstance(value, np.ndarray) or not value.size:
-                raise NotComputed(f"the output {name} is not an array")
-        return results, dict(evaluation.names)
+        results: Names = {}
+        for name in self.code.main.results:
+            found = _flat({name: names[name]})
+            for path, value in found.items():
+                if not isinstance(value, np.ndarray) or not value.size:
+                    raise NotComputed(f"the output {path} is not an array")
+            wanted = [f"{name}.{leaf.name}" for leaf in self.buses[name].leaves] if name in self.buses else list(found)
+            if set(wanted) != found.keys():
+                raise NotComputed(f"the fields of the output {name} are not those of the bus {self.buses[name].name}")
+            results |= {path: found[path] for path in wanted}
+        return results, _flat(dict(evaluation.names))
 
     def _remembered(self, x: Any) -> Names:
         return {name: value_of(x[one]).reshape(self.sizes[name], order="F") for name, one in self.kept.items()}
@@ -150,15 +163,32 @@ class MatlabFunction(Block):
         return {**made, _CALLED: True} if self.first else made
 
 
-def last_index(code: str, argument: int) -> int:
-    """Return the largest constant index that code has for its argument of this number, from 1; 1 without any."""
+def last_index(text: str, argument: int, folders: Sequence[Path] = ()) -> int:
+    """Return the largest constant index that code has for its argument of this number, from 1; 1 without any.
+
+    Functions to which the code passes the argument on are followed.
+    """
+    most, seen = 1, set[tuple[str, str, int]]()
     try:
-        names = Code(code).main.arguments
+        code = Code(text, folders)
+        left = [(code, code.main, argument - 1)]
+        while left:
+            code, function, at = left.pop()
+            if at >= len(function.arguments) or (code.prefix, function.name, at) in seen:
+                continue
+            seen.add((code.prefix, function.name, at))
+            name = function.arguments[at]
+            body = " ".join(one.text for one in code.tokens[function.start : function.stop])
+            for index in re.findall(rf"(?<!\. )(?<!\S){name} \( (\d+(?: : \d+)*|\[ [\d ,:;]+ \])(?: , [1:])? \)", body):
+                most = max(most, *(int(one) for one in re.findall(r"\d+", index)))
+            for called, arguments in re.findall(r"(?<!\S)([A-Za-z]\w*) \( ([^()]*) \)", body):
+                for k, one in enumerate(arguments.split(" , ")):
+                    if one.strip() == name and called not in function.arguments:
+                        owner = code if called in code.functions else code.file(called)
+                        left += [] if owner is None else [(owner, owner.functions.get(called, owner.main), k)]
     except NotComputed:
-        return 1
-    if argument > len(names):
-        return 1
-    return max((int(one) for one in re.findall(rf"\b{names[argument - 1]}\s*\(\s*(\d{{1,4}})\s*\)", code)), default=1)
+        pass
+    return most if most <= MOST_GUESSED else 1
 
 
 def value_of(shown: Any) -> Value:
@@ -169,6 +199,26 @@ def value_of(shown: Any) -> Value:
     if not shape:
         return filled((1, 1), [flat])
     return filled((*shape, 1)[:2], (flat[k] for k in range(int(np.prod(shape)))))
+
+
+def _flat(names: Names) -> Names:
+    """Return values by path: `a.b` of a structure."""
+    inside = {name: _flat(value) if isinstance(value, dict) else None for name, value in names.items()}
+    return {
+        f"{name}.{path}" if path else name: value
+        for name, fields in inside.items()
+        for path, value in ({"": names[name]} if fields is None else fields).items()
+    }
+
+
+def _nested(values: Names, roots: int) -> Names:
+    """Return values by name, with structures of those whose path has more than `roots` parts."""
+    made: Names = {}
+    for path, value in values.items():
+        parts = path.split(".")
+        name = ".".join(parts[:roots])
+        made[name] = stored(made.get(name), parts[roots:], value)
+    return made
 
 
 def _size(array: Array) -> dict[str, Any]:
