@@ -1,5 +1,6 @@
 """Data types of Simulink: buses, dictionaries, integers; values by hand from Simulink's documented rules."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -534,6 +535,25 @@ def test_matrices_are_computed_as_numpy_does(tmp_path: Path, block: tuple, wante
             expected = wanted(A * u, B, u)  # type: ignore[operator]
         # numpy's product of matrices may add in another order: some units in the last place
         assert np.allclose(np.reshape(y[k], np.shape(expected)), expected, rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["Integrator", "DiscreteIntegrator"])
+def test_an_integral_of_a_matrix_is_that_of_each_element(tmp_path: Path, kind: str) -> None:
+    """X' = X A from a matrix that is not symmetric, in a loop: Runge-Kutta of fourth order, and Euler."""
+    blocks = [
+        (kind, "X", {"InitialCondition": "[1 2; 3 4; 5 6]", "IntegratorMethod": "Integration: Forward Euler"}),
+        ("Constant", "A", {"Value": "[0 1; -4 .5]"}),
+        ("Product", "XA", {"Multiplication": "Matrix(*)", "Ports": "[2, 1]"}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("X", "XA:1"), ("A", "XA:2"), ("XA", "X"), ("X", "y")]
+    y = flown(imported(tmp_path, blocks, lines), {})["y"]
+    step, now = DT * np.array([[0.0, 1.0], [-4.0, 0.5]]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    order = 4 if kind == "Integrator" else 1
+    factor = sum(np.linalg.matrix_power(step, k) / math.factorial(k) for k in range(order + 1))
+    for k in range(len(y)):
+        assert np.allclose(y[k], now, rtol=1e-12), k
+        now = now @ factor
 
 
 def test_elements_of_a_vector_are_assigned(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ from twodof.blocks.library import (
     Power,
     Product,
     Remainder,
+    Reshape,
     Rounding,
     Selector,
     Sign,
@@ -344,7 +345,7 @@ TAKES_SMALL = (
     *("Assignment", "DiscreteIntegrator", "Gain", "Logic", "Product", "Reshape", "Sum", "SwitchCase", "UnaryMinus"),
 )
 """Types that take integers of 8 and 16 bits."""
-TAKES_MATRICES = ("BusAssignment", "BusCreator", *MATRIX_LINES, *DROPPED)
+TAKES_MATRICES = ("BusAssignment", "BusCreator", "DiscreteIntegrator", "Integrator", *MATRIX_LINES, *DROPPED)
 
 
 def carried_out(c: Asked, rule: Rule) -> Made:
@@ -359,7 +360,24 @@ def carried_out(c: Asked, rule: Rule) -> Made:
             raise NotTranslated(f"an input that is {one} is not translated")
     if kind in RULES and kind not in TAKES_BUSES and any(isinstance(one.kind, Bus) for one in c.inputs):
         return _of_vectors(c, rule)
+    if kind in ("DiscreteIntegrator", "Integrator") and c.inputs[0].shape is not None:
+        return _of_columns(c, rule)
     return matrix(c, MATRIX_LINES[kind]) if makes_matrix(c) else rule(c)
+
+
+def _of_columns(c: Asked, rule: Rule) -> Made:
+    """Return the block of a rule for one input, a matrix: its columns, one after another, are a vector there."""
+    one = c.inputs[0]
+    if one.shape is None or len(c.inputs) > 1:
+        raise NotTranslated("a matrix beside a second input is not translated")
+    d, size = Diagram("of_columns"), [one.shape[0] * one.shape[1]]
+    d.input("u", one.kind, shape=one.shape)
+    made = rule(replace(c, inputs=[replace(one, shape=None)]))
+    assert made.item is not None
+    vector = d.add("vector", Reshape(one.shape, size, one.number), u="u")
+    d.add("of", made.item, inputs={names_of(made.item)[0]: vector})
+    d.output("y", d.add("y", Reshape(size, one.shape, one.number), u=f"of.{names_of(made.item, outputs=True)[0]}"))
+    return Made(d, [one], expand=False)
 
 
 def _of_vectors(c: Asked, rule: Rule) -> Made:

@@ -68,7 +68,9 @@ def _initial(c: Asked, *names: str) -> tuple[Any, Signal]:
         return value_of(c.structure(name, "0"), known), known
     value = c.value(name, "0")
     width = known.width or (value.size if value.size > 1 else None)
-    initial = plain(value.flat[0], known.kind) if value.size == 1 else [plain(v, known.kind) for v in value.flatten()]
+    initial = (
+        plain(value.flat[0], known.kind) if value.size == 1 else [plain(v, known.kind) for v in value.flatten("F")]
+    )
     if value.size not in (1, width or 1):
         raise NotTranslated(f"parameter {name} has {value.size} elements and the input {width or 1}")
     return initial, Signal(known.kind, width)

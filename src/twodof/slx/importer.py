@@ -501,10 +501,11 @@ class _Import(Wiring):
         """Return the type that a state in a loop has by its initial value, or else by what it meets behind it."""
         values = self._values(key)
         name = next((one for one in ("C", "InitialCondition", "X0") if one in values), "")
-        size = 1
+        size, shape = 1, None
         with suppress(DiagramError, NotComputed):
             found = as_array(number(evaluate(values.get(name, "0"), self.sheets[key[0]].names, name)))
             size = found.shape[0] if name == "C" else found.size
+            shape = found.shape if name != "C" and 1 not in found.shape else None
         if size == 1 and name != "C":
             size = width_wanted(self.sheets, *key, self.code, self.folders)
         queue, seen = [key], {key}
@@ -518,8 +519,8 @@ class _Import(Wiring):
                 sources = [source for pin in pins if (source := self._origin(one[0], pin)) in self.signals]
                 met = [self.signals[source] for source in sources if source not in (None, (*at, 1))]
                 if met:
-                    return Signal(met[0].kind, size if size > 1 else None)
-        return Signal("real", size if size > 1 else None)
+                    return Signal(met[0].kind, size if size > 1 else None, shape)
+        return Signal("real", size if size > 1 else None, shape)
 
     def _await(self, key: tuple[str, str], waiting: dict[tuple[str, str], set[Output]]) -> None:
         found = {self._origin(key[0], pin) for pin in self._inputs(key)}
