@@ -388,7 +388,7 @@ class _Import(Wiring):
             self.approximated.setdefault(key, []).append(f"inherits its type: taken for {wanted}, declared behind it")
             said = wanted
         kind: Kind = "real" if said.startswith("Inherit") else kind_of(said, names)
-        if said.startswith("Inherit") and (bus := bus_wanted(self.sheets, *key, self.code)) is not None:
+        if said.startswith("Inherit") and (bus := bus_wanted(self.sheets, *key, self.code, self.folders)) is not None:
             self.approximated.setdefault(key, []).append("inherits its type: taken for a bus of what is selected of it")
             self.signals[*key, 1] = Signal(bus)
             return

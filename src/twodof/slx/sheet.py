@@ -128,7 +128,9 @@ def width_wanted(
     return most
 
 
-def bus_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkChart]) -> Bus | None:
+def bus_wanted(
+    sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkChart], folders: Sequence[Path]
+) -> Bus | None:
     """Return the bus of doubles with the elements that Bus Selectors behind an output take; None without one."""
     tree: dict[str, Any] = {}
     for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
@@ -140,7 +142,7 @@ def bus_wanted(sheets: Sheets, path: str, sid: str, code: Mapping[str, SimulinkC
                 if not isinstance(inner.setdefault(name, {}), dict):
                     inner[name] = {}  # selected whole, and by its elements
                 inner = inner[name]
-            inner.setdefault(last, width_wanted(sheets, at, pin.sid, code, output=k))
+            inner.setdefault(last, width_wanted(sheets, at, pin.sid, code, folders, output=k))
     return _bus("bus", tree) if tree else None
 
 
