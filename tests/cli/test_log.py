@@ -46,6 +46,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_log_is_drawn_beside_itself(log: Path, shell: Shell) -> None:
     said = shell(["log", "plot", str(log), "--json"]).json
+    steps = said.pop("steps")["steps"]
+    assert [one["loop"] for one in steps] == ["attitude"] * 4
+    assert all(0.05 < one["rise_time"] < 0.5 for one in steps)
     assert said == {
         "file": str(log.with_suffix(".png")),
         "notes": ["the cart stands still: position and velocity are left out"],

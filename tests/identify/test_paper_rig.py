@@ -1,6 +1,7 @@
 """The virtual rig `paper`, flown through the compiled flight code: both methods give its parameters back."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -149,6 +150,7 @@ def test_results_print_as_one_short_line(greybox: Estimate, pitch_records: tuple
     assert repr(flight.log["q"]) == "<Channel q [rad/s]: 5550 samples, 10.00 to 32.20 s>"
     mu, sigma = greybox["mu[impulse]"], greybox.sigma("mu[impulse]")
     assert f" mu[impulse] {mu:.4g} +- {sigma:.2g} rad/s2, " in repr(greybox)
+    assert f" mu[impulse] {mu:.4g} (at its bound), " in repr(replace(greybox, at_bound=("mu[impulse]",)))
 
 
 def test_an_estimate_goes_to_python_control(greybox: Estimate) -> None:

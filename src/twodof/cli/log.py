@@ -1,6 +1,6 @@
 """`twodof log info`, `plot`, `convert`, `recover` and `fetch`."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,9 +20,9 @@ from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mcap_file import recover as recover_log
 from twodof.flightlog.public_data import FOREIGN_FILES, PUBLIC_LOGS, find
-from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
+from twodof.report.plots.comparison_view import Align, common_steps, comparison_view, flight_steps, step_rows
 from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
-from twodof.report.step_responses import SETTLED
+from twodof.report.step_responses import SETTLED, FlownStep
 from twodof.rig.parameters import save_rig
 from twodof.signals import BY_MAT
 
@@ -126,8 +126,8 @@ def plot(
 ) -> None:
     """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation.
 
-    Several flights are drawn one over the other, aligned where their set-points first step. A table says rise,
-    overshoot, settling and peak of each step.
+    Several flights are drawn one over the other, aligned where their set-points first step. A table has rise,
+    overshoot, settling and peak of each step of the set-point.
     """
     first = files[0]
     target = out or (first.with_suffix(".png") if len(files) == 1 else first.with_name(f"{first.stem}-compared.png"))
@@ -136,9 +136,11 @@ def plot(
     if len(files) > 1:
         _compare(files, target, names, align, window, force, json)
         return
-    notes = draw(read_log(first), target, names, window, first.name, force)
-    lines = [*(f"note: {note}" for note in notes), f"written: {target}"]
-    print_result(json, {"file": str(target), "notes": list(notes)}, lines)
+    log = read_log(first)
+    notes = draw(log, target, names, window, first.name, force)
+    steps = {} if names else common_steps({first.stem: log})[0]
+    lines = [*_step_table(steps), *(f"note: {note}" for note in notes), f"written: {target}"]
+    print_result(json, {"file": str(target), "notes": list(notes), "steps": _plain_steps(steps)}, lines)
 
 
 def _compare(
@@ -159,12 +161,20 @@ def _compare(
     view = comparison_view(logs, align, window)
     steps = flight_steps(logs) if align is Align.step else {}
     write_view(view, target, force)
-    rows = {name: [step.to_json() for step in found] for name, found in steps.items()}
+    print_result(json, {"file": str(target), "steps": _plain_steps(steps)}, [*_step_table(steps), f"written: {target}"])
+
+
+def _step_table(steps: Mapping[str, Sequence[FlownStep]]) -> list[Any]:
+    """Return a table of the steps; nothing without steps."""
     heads = ("at, s", "step", "rise, s", "overshoot, %", f"settling ({SETTLED:.0%}), s", "peak", "peak |M|")
     made = table("flight", *heads, right=(1, *range(3, 8)))
     for row in step_rows(steps):
         made.add_row(*row)
-    print_result(json, {"file": str(target), "steps": rows}, [*[made] * bool(steps), f"written: {target}"])
+    return [made] * bool(steps)
+
+
+def _plain_steps(steps: Mapping[str, Sequence[FlownStep]]) -> dict[str, Any]:
+    return {name: [step.to_json() for step in found] for name, found in steps.items()}
 
 
 def _names(files: Sequence[Path]) -> list[str]:

@@ -85,8 +85,9 @@ class Estimate:
 
     def __repr__(self) -> str:
         def value(of: str) -> str:
-            doubt = "at its bound," if of in self.at_bound else f"+- {self.sigma(of):.2g}"
-            return f"{of} {self[of]:.4g} {doubt} {self.unit(of)}".rstrip(", ")
+            if of in self.at_bound:
+                return f"{of} {self[of]:.4g} (at its bound)"
+            return f"{of} {self[of]:.4g} +- {self.sigma(of):.2g} {self.unit(of)}".rstrip()
 
         fits = listed(f"{one.fit_percent:.1f} %" for one in self.identification)
         return (
