@@ -336,6 +336,7 @@ def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
     [
         ("g = @(a) a; y = g(u, u);", "line 2: the function takes 1 arguments and gives one value"),
         ("g = @(h) h(h); y = g(g) + u;", "functions call each other too deep"),
+        ("y = [u; u] + [u; u; u];", "line 2: arrays of 2 by 1 and 3 by 1 do not fit each other"),
         ("g = @svd; y = g(u);", "line 2: svd is not computed"),
         ("y = quat2eul([u 0 0 1], 'XYZ');", "line 2: quat2eul.m, line 3: quat2eul_of_another_sequence is not computed"),
         ("y = svd(u);", "line 2: svd is not computed"),
@@ -357,6 +358,23 @@ def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
 def test_a_statement_that_is_not_translated_is_said_by_its_line(line: str, said: str) -> None:
     with pytest.raises(DiagramError, match=said.replace("(", r"\(")):
         MatlabFunction(f"function y = f(u)\n{line}\nend", [REAL])
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("y = u / 2;", "line 2: whole numbers of 64 bits are not computed"),
+        ("y = [u; u]; y = y + 1;", "line 2: whole numbers of 64 bits are not computed"),
+        ("y = [u; 1];", "line 2: a whole number of 64 bits beside others is not translated"),
+        ("y = u; if v > 0, y = v; end", "line 2: y is real and float64 in two branches"),
+    ],
+)
+def test_whole_numbers_of_64_bits_are_passed_on_and_not_computed(body: str, said: str) -> None:
+    wide = Signal("float64")
+    with pytest.raises(DiagramError, match=said):
+        MatlabFunction(f"function y = f(u, v)\n{body}", [wide, REAL])
+    block = MatlabFunction("function [y, z, n] = f(u)\ny = u; z = double(u) / 2; n = u > 3;", [wide])
+    assert [port.kind for port in block.outputs] == ["float64", "real", "bool"]
 
 
 def test_what_is_left_out_or_approximated_is_noted() -> None:

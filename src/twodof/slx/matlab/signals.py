@@ -47,6 +47,8 @@ def _double(element: Any) -> Any:
 def _common(*elements: Any) -> str:
     """Return the class in which MATLAB computes with elements of these classes."""
     kinds = {kind_of(one) for one in elements}
+    if "float64" in kinds:
+        raise NotComputed("whole numbers of 64 bits are not computed: convert them to double")
     whole = kinds & INTEGER_TYPES.keys()
     if len(whole) > 1:
         raise NotComputed(f"{' and '.join(sorted(kinds))} in one operation")
@@ -107,7 +109,11 @@ def _each(compute: Elementwise) -> Callable[..., Array]:
 
     def operate(*arrays: Value) -> Array:
         lifts = [lifted(as_array(one)) for one in arrays]
-        shape = np.broadcast_shapes(*(one.shape for one in lifts))
+        try:
+            shape = np.broadcast_shapes(*(one.shape for one in lifts))
+        except ValueError:
+            sizes = " and ".join(f"{one.shape[0]} by {one.shape[1]}" for one in lifts)
+            raise NotComputed(f"arrays of {sizes} do not fit each other") from None
         columns = (np.broadcast_to(one, shape).flatten(order="F") for one in lifts)
         return filled(shape, map(compute, *columns))
 

@@ -254,6 +254,10 @@ def kind_of(element: Any) -> str:
 def class_of(array: Array) -> str:
     """Return the kind of all elements; where several meet, of the array that MATLAB makes of them."""
     kinds = [kind_of(element) for element in lifted(array).flatten(order="F")]
+    if "float64" in kinds:  # what holds a whole number of 64 bits
+        if set(kinds) != {"float64"}:
+            raise NotComputed("a whole number of 64 bits beside others is not translated: convert it")
+        return "float64"
     whole = [kind for kind in kinds if kind in INTEGER_TYPES]
     return next((one for one in (*whole[:1], "real", "bool") if one in kinds), "real")
 
