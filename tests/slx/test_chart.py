@@ -212,6 +212,38 @@ def test_seconds_types_constants_and_functions(tmp_path: Path) -> None:
     assert got["y_flag"].tolist() == [0, 0, 0, 1, 1, 1, 1]
 
 
+BUMP = [  # r = a + n where a > 1, and n counts how often
+    state(
+        5,
+        "r = bump(a)",
+        way(51, None, 52)
+        + junction(52)
+        + junction(53)
+        + way(54, 52, 53, "[a > 1]{r = a + n; n = n + 1;}")
+        + data("a", "FUNCTION_INPUT")
+        + data("r", "FUNCTION_OUTPUT", "uint8"),
+        kind="FUNC_STATE",
+    ),
+    data("n", "OUTPUT"),
+]
+
+
+def test_graphical_functions_change_the_charts_data(tmp_path: Path) -> None:
+    parts = [state(1, "A\nduring: y = bump(u);"), way(11, None, 1), *BUMP]
+    got = flown(chart(tmp_path, "".join(parts), data("y", "OUTPUT"), outputs=("n", "y")), [9.0, 2, 1, 2, 299])
+    assert got["y_y"].tolist() == [0, 2, 0, 3, 255]  # 0 where no way gives a result; of the result's type
+    assert got["y_n"].tolist() == [0, 1, 1, 2, 3]
+
+
+@pytest.mark.parametrize(("operator", "counted"), [("&&", [0, 0, 1, 1]), ("||", [0, 1, 1, 1])])
+def test_a_function_behind_a_decided_condition_is_not_called(
+    tmp_path: Path, operator: str, counted: list[float]
+) -> None:
+    parts = [state(1, "A"), state(2, "B"), way(11, None, 1), way(12, 1, 2, f"[v > 0 {operator} bump(u) > 99]"), *BUMP]
+    got = flown(chart(tmp_path, "".join(parts), outputs=("n",)), [2.0, 2, 2, 2], [0.0, 0, 1, 0])
+    assert got["y_n"].tolist() == counted
+
+
 def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> None:
     parts = [
         junction(1),
@@ -233,7 +265,16 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
         (way(1, None, 2) + state(2, "A") + way(3, 2, 4) + junction(4), "", "it ends at a junction"),
         (state(2, "A"), "", "the chart: it has no default transition"),
         (way(1, None, 2) + state(2, "A") + '<event name="E"/>', "", "the event E is not translated"),
-        (way(1, None, 2) + state(2, "f(x)", kind="FUNC_STATE"), "", "the graphical function f(x)"),
+        (
+            way(1, None, 2)
+            + state(2, "A")
+            + state(3, "f(x)", kind="FUNC_STATE", simulink="1").replace(
+                '<P Name="simulink">1</P>', '<simulink><P Name="isSimulinkFcn">1</P></simulink>'
+            ),
+            "",
+            "the Simulink function f(x)",
+        ),
+        (way(1, None, 2) + state(2, "A", data("log", "LOCAL")), "", "the name log stands for two things"),
         (way(1, None, 2) + state(2, "A"), '<P Name="name">chart</P><P Name="actionLanguage">0</P>', "language is C"),
         (
             way(1, None, 2) + state(2, "A\nentry: log = double(int8(u) + 1);"),

@@ -6,7 +6,9 @@ in: the outer transitions of an active state in their order; if none leads to a 
 transitions, and what is inside it. A transition's condition action acts as soon as its condition holds, also where the
 way does not reach a state. Exit actions go from the inside out, entry actions from the outside in.
 
-Charts in MATLAB's language are translated, without events and graphical functions; anything else is refused.
+Graphical functions, and functions in MATLAB's language, see and change the chart's data.
+
+Charts in MATLAB's language are translated, without events; anything else is refused.
 """
 
 import re
@@ -59,7 +61,7 @@ class _Way:
     at_end: str = ""
 
 
-@dataclass
+@dataclass(eq=False)
 class _State:
     """A state, or the chart itself; `ways` are the transitions drawn in it."""
 
@@ -71,6 +73,8 @@ class _State:
     actions: dict[str, str] = field(default_factory=dict)
     children: list["_State"] = field(default_factory=list)
     ways: list[_Way] = field(default_factory=list)
+    data: list["Form"] = field(default_factory=list)
+    """Of a function: its arguments and results."""
 
     @property
     def active(self) -> str:
@@ -89,13 +93,14 @@ class _State:
 class ChartCode:
     """A chart as a MATLAB Function: its text, the names that it takes, and the kinds of its data.
 
-    `owners` say for each line of the text whose it is.
+    A function's own data are `function.name` there. `owners` say for each line of the text whose it is.
     """
 
     text: str
     known: dict[str, Value]
     declared: dict[str, str]
     owners: list[str]
+    notes: list[str]
 
 
 def chart_code(
@@ -115,9 +120,15 @@ class _Chart:
         self.states: dict[str, _State] = {}
         self.junctions: set[str] = set()
         self.scripts: list[str] = []
+        self.functions: list[_State] = []
         self.data: list[Form] = []
+        self.notes: list[str] = []
         self.root = _State("chart", "the chart", None, form["values"].get("decomposition") == "SET_CHART")
         self._read(form, self.root, 0)
+        called = [one["name"] for one in self.data] + [one.name for one in self.functions]
+        if len(set(called)) < len(called):
+            twice = next(one for one in called if called.count(one) > 1)
+            raise NotTranslated(f"the name {twice} stands for two things in it")
         for way in self._ways():
             if way.target not in self.states and way.target not in self.junctions:
                 raise NotTranslated(f"{_shown(way)}: it leads to no state")
@@ -151,8 +162,10 @@ class _Chart:
             elif part["tag"] == "event":
                 raise NotTranslated(f"the event {part['name']} is not translated")
             elif part["tag"] == "data":
-                self.data.append(part)
-        if parent is not self.root and not parent.children and any(not way.source for way in parent.ways):
+                (parent.data if parent in self.functions else self.data).append(part)
+        if parent in self.functions:
+            pass
+        elif parent is not self.root and not parent.children and any(not way.source for way in parent.ways):
             raise NotTranslated(f"{parent.name}: a flow chart in a state is not translated")
         order = [one.number for one in parent.children]
         parent.children.sort(key=lambda one: one.number)
@@ -165,12 +178,18 @@ class _Chart:
     def _read_state(self, part: Form, parent: _State, depth: int) -> None:
         values, label = part["values"], part["values"].get("labelString", "")
         kind = values.get("type", "OR_STATE")
-        if kind == "FUNC_STATE" and "eml/script" in values:
-            self.scripts.append(values["eml/script"])
+        if kind == "FUNC_STATE" and "simulink/isSimulinkFcn" not in values:
+            called = re.match(r"(?:[^=]*=)?\s*([A-Za-z]\w*)", label)
+            made = _State(part["id"], called[1] if called else "?", None, False, actions={"head": collapsed(label)})
+            self.functions.append(made)
+            self._read(part, made, depth + 1)
+            if "eml/script" in values:
+                self.scripts.append(values["eml/script"])
+                made.actions.clear()
             return
         name = re.match(r"\s*([A-Za-z]\w*)", label)
         if kind not in ("OR_STATE", "AND_STATE") or name is None:
-            what = {"FUNC_STATE": "graphical function", "GROUP_STATE": "box"}.get(kind, "state of another kind")
+            what = {"FUNC_STATE": "Simulink function", "GROUP_STATE": "box"}.get(kind, "state of another kind")
             raise NotTranslated(f"the {what} {label.strip()[:40]} is not translated")
         made = _State(part["id"], name[1], parent, values.get("decomposition") == "SET_STATE")
         made.number = int(values.get("executionOrder", len(parent.children) + 1 if kind == "OR_STATE" else 0))
@@ -180,7 +199,7 @@ class _Chart:
         self._read(part, made, depth + 1)
 
     def _ways(self) -> Iterator[_Way]:
-        for state in (self.root, *self.states.values()):
+        for state in (self.root, *self.states.values(), *self.functions):
             yield from state.ways
 
     def _from(self, source: str) -> list[_Way]:
@@ -213,6 +232,9 @@ class _Chart:
             raise NotTranslated(f"the output {missing[0]} is not in the chart's data")
         step = self._block(lambda: self._children_act(self.root))
         first = self._block(lambda: self._begin(self.root))
+        functions = list[tuple[str, str]]()
+        for one in self.functions:
+            functions += self._block(lambda one=one: self._function(one, known, declared))  # type: ignore[misc]
         containers = [one for one in (self.root, *self.states.values()) if one.children and not one.parallel]
         memory = [*(one.active for one in containers), *self.clocks]
         head = [f"function [{', '.join(outputs)}] = chart({', '.join(inputs)})"]
@@ -229,15 +251,37 @@ class _Chart:
         unread = {f"{one.since} = 0;" for one in self.states.values()} - {f"{name} = 0;" for name in self.clocks}
         text = [*((line, "") for line in head), *first, *middle, ("end", ""), ("end", "")]
         text = [one for one in text if one[0] not in unread]
+        text += functions
         text += [(line, "a function in it") for script in self.scripts for line in [*script.splitlines()]]
         if len(text) > MOST_LINES:
             raise NotTranslated(f"it takes more than {MOST_LINES} lines")
-        return ChartCode("\n".join(line for line, _ in text), known, declared, [owner for _, owner in text])
+        return ChartCode("\n".join(line for line, _ in text), known, declared, [owner for _, owner in text], self.notes)
+
+    def _function(self, function: _State, known: dict[str, Value], declared: dict[str, str]) -> None:
+        """Write a graphical function: its result is 0 where no way gives one. The data of a script have kinds only."""
+        for part in function.data:
+            scope, said = part["values"].get("scope", "LOCAL_DATA"), part["values"].get("dataType", "double")
+            if not scope.startswith("FUNCTION_") and function.actions:
+                raise NotTranslated(f"the data {part['name']} of {function.name} with {scope} is not translated")
+            if not said.startswith("Inherit") and not said.startswith("Bus"):
+                declared[f"{function.name}.{part['name']}"] = self._kind(part)
+        if not function.actions:
+            return
+        self._say(f"function {function.actions['head']}", f"the function {function.name}")
+        for part in function.data:
+            if part["values"].get("scope") == "FUNCTION_OUTPUT_DATA":
+                self._say(f"{part['name']} = initial_{function.name}_{part['name']};")
+                known[f"initial_{function.name}_{part['name']}"] = self._initial(part, self._kind(part))
+        self._flow([way for way in function.ways if not way.source], self._flag(), None, function, [], 0)
+        self._say("end")
 
     def _kind(self, part: Form) -> str:
         said = part["values"].get("dataType", "double")
         kind = "real" if said.startswith("Inherit") else kind_of(said, self.names)
-        if not isinstance(kind, str):
+        if kind == "float32":
+            self.notes.append(f"{part['name']}: single is computed in the precision of the build")
+            return "real"
+        if not isinstance(kind, str) or kind == "float64":
             raise NotTranslated(f"the data {part['name']} of type {said} is not translated")
         return kind
 
@@ -374,7 +418,7 @@ class _Chart:
                 self._say(f"{flag} = true;")
             elif follow := self._from(way.target):
                 self._flow(follow, flag, source, within, onward, depth + 1)
-            elif self.states:
+            elif self.states and within not in self.functions:
                 raise NotTranslated(f"{owner}: it ends at a junction")
             else:
                 self._say("".join(f"{one.at_end}\n" for one in onward), owner)
@@ -522,6 +566,7 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
             raise NotTranslated("its chart is not read from this form of file")
         else:
             code = chart_code(chart.form, inputs, outputs, c.names, c.dt)
+            c.notes += code.notes
             enumerations = {name: value for name, value in c.names.items() if isinstance(value, Members)}
             try:
                 item = MatlabFunction(code.text, c.inputs, enumerations | code.known, inputs, code.declared, c.folders)

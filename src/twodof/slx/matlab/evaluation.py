@@ -324,8 +324,12 @@ class EvaluatingParser:
                 self.pass_over("&&", "||")  # not computed where the first condition decides
                 left = np.array([[operator == "||"]])
             else:
-                left = self.apply(operator, left, self.binary(level + 1))
+                left = self.apply(operator, left, self.right_of(operator, left, level + 1))
         return left
+
+    def right_of(self, operator: str, left: Value, level: int) -> Value:
+        """Compute the value to the right of an operator."""
+        return self.binary(level)
 
     def pass_over(self, *operators: str) -> None:
         """Pass over an expression up to one of these operators, or to its end."""

@@ -70,6 +70,7 @@ class MatlabFunction(Block):
             }
             self.code.declared |= declared or {}
             main = self.code.main
+            self.code.shared = None if declared is None else set(main.arguments)
             named = len(ports) == len(signals) and set(ports) <= set(main.arguments)
             self.given = [k for k in main.arguments if k in ports] if named else main.arguments[: len(signals)]
             self.constants = {k: v for k, v in (names or {}).items() if k in main.arguments and k not in self.given}

@@ -89,7 +89,9 @@ class Code:
         self.known: dict[str, Value] = {}
         """Names that every function sees: enumerations."""
         self.declared: dict[str, str] = {}
-        """Kinds to which the main function's names convert what they are assigned."""
+        """Kinds to which names convert what they are assigned: a chart's data, and `function.name`."""
+        self.shared: set[str] | None = None
+        """Names of a chart's main function that its other functions see and change."""
         words = self._words()
         count = Counter(word for _, word in words)
         # Functions of a file either all end with `end`, or none does.
@@ -184,12 +186,16 @@ class Program(EvaluatingParser):
         super().__init__(code.tokens, evaluation)
         self.code, self.function_run, self.calls = code, function, depth
         self.persistent: list[str] = []
+        own = {*function.arguments, *function.results} if function is not code.main else set[str]()
+        self.kinds = {name: kind for name, kind in code.declared.items() if "." not in name and name not in own}
+        self.kinds |= {name: code.declared[one] for name in own if (one := f"{function.name}.{name}") in code.declared}
         if depth > DEEPEST_CALLS:
             raise NotComputed("functions call each other too deep")
 
     def run(self) -> None:
         """Carry out the function. Raises NotTranslatedLine for a statement that is not translated."""
         self.at = self.function_run.start
+        self._convert()
         self.block(self.function_run.stop)
         for name in self.persistent:
             self.evaluation.names[self._kept(name)] = self.evaluation.names[name]
@@ -219,15 +225,14 @@ class Program(EvaluatingParser):
             except (NotComputed, DiagramError) as reason:
                 why = reason.what if isinstance(reason, DiagramError) else str(reason)
                 raise NotTranslatedLine(f"line {line}: {why}") from None
-            if self.function_run is self.code.main:
-                self._convert()
+            self._convert()
             for name in empty - self._empty():
                 self.code.initial[self._kept(name)] = self.evaluation.names[name]
         self.at = stop
 
     def _convert(self) -> None:
         """Convert names that have a declared kind."""
-        for name, kind in self.code.declared.items():
+        for name, kind in self.kinds.items():
             value = self.evaluation.names.get(name, EMPTY)
             if not is_empty(value) and class_of(as_array(value)) != kind:
                 self.evaluation.names[name] = converted(as_array(value), kind)
@@ -294,6 +299,8 @@ class Program(EvaluatingParser):
                 self.persistent.append(self.here.text)
                 kept = self._kept(self.here.text)
                 self.evaluation.names[self.here.text] = self.evaluation.names.setdefault(kept, EMPTY)
+                if self.code.shared is not None and self.function_run is self.code.main:
+                    self.code.shared.add(self.here.text)
                 self.at += 1
                 self.skip(",")
         elif word in ("global", "try", "function"):
@@ -447,6 +454,19 @@ class Program(EvaluatingParser):
                 key, steps = target
                 self.evaluation.names[key] = stored(self.evaluation.names.get(key), steps, value)
 
+    def right_of(self, operator: str, left: Value, level: int) -> Value:
+        """Compute the right of an operator; what it changes holds only where && or || come to it."""
+        if operator not in ("&&", "||") or not is_signal(left):
+            return super().right_of(operator, left, level)
+        found: list[Value] = []
+
+        def compute() -> None:
+            found.append(self.binary(level))
+
+        branches = (compute, lambda: None) if operator == "&&" else (lambda: None, compute)
+        self.either(truth(left), *branches)
+        return found[0]
+
     def primary(self) -> Value:
         """Return a value; a persistent variable has one after its first assignment."""
         if self.skip("@"):
@@ -516,10 +536,13 @@ class Program(EvaluatingParser):
             return super().called(name, arguments, bracket, count)
         if len(arguments) > len(function.arguments):
             raise NotComputed(f"{name} takes {len(function.arguments)} arguments")
+        shared = (code.shared or set()) - {*function.arguments, *function.results}
+        code.known |= {one: value for one, value in self.evaluation.names.items() if one in (code.shared or ())}
         try:
             found = call(code, function, arguments, self.evaluation, self.calls + 1)
         except NotTranslatedLine as reason:
             raise reason if code is self.code else NotComputed(f"{name}.m, {reason}") from None
+        self.evaluation.names.update({one: found[one] for one in shared & found.keys()})
         if count > 1:
             return [found.get(one) for one in function.results]
         return found.get(function.results[0]) if function.results else None
