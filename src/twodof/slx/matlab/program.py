@@ -92,6 +92,8 @@ class Code:
         """Kinds to which names convert what they are assigned: a chart's data, and `function.name`."""
         self.shared: set[str] | None = None
         """Names of a chart's main function that its other functions see and change."""
+        self.seen: dict[str, Value] = {}
+        """Their values at a call."""
         words = self._words()
         count = Counter(word for _, word in words)
         # Functions of a file either all end with `end`, or none does.
@@ -537,7 +539,7 @@ class Program(EvaluatingParser):
         if len(arguments) > len(function.arguments):
             raise NotComputed(f"{name} takes {len(function.arguments)} arguments")
         shared = (code.shared or set()) - {*function.arguments, *function.results}
-        code.known |= {one: value for one, value in self.evaluation.names.items() if one in (code.shared or ())}
+        code.seen = {one: value for one, value in self.evaluation.names.items() if one in (code.shared or ())}
         try:
             found = call(code, function, arguments, self.evaluation, self.calls + 1)
         except NotTranslatedLine as reason:
@@ -552,7 +554,7 @@ def call(
     code: Code, function: FunctionDefinition, arguments: Sequence[Value], evaluation: Evaluation, depth: int = 0
 ) -> Mapping[str, Value]:
     """Carry out a function on arguments and return its names. The evaluation keeps persistent variables."""
-    given = {**code.known, **dict(zip(function.arguments, arguments, strict=False))}
+    given = {**code.known, **code.seen, **dict(zip(function.arguments, arguments, strict=False))}
     given["nargin"] = np.array([[float(len(arguments))]])
     _, names = evaluation.apart(given, lambda inner: Program(code, function, inner, depth).run())
     for name in function.results:
