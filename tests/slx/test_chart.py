@@ -63,6 +63,8 @@ def chart(folder: Path, parts: str, *extra: str, settings: str = "", outputs: tu
     lines += [(f"chart:{k}", f"y_{name}") for k, name in enumerate(outputs, start=1)]
     held = [data("u", "INPUT"), data("v", "INPUT"), *([data("log", "OUTPUT")] if "log" in outputs else []), *extra]
     head = '<P Name="name">chart</P><P Name="actionLanguage">2</P>' if "actionLanguage" not in settings else ""
+    if "saturate" not in settings:
+        head += '<P Name="saturateOnIntegerOverflow">1</P>'
     body = f'<chart id="9">{head}{settings}<Children>{parts}{"".join(held)}</Children></chart>'
     files = {
         **model(blocks, lines),
@@ -244,6 +246,63 @@ def test_a_function_behind_a_decided_condition_is_not_called(
     assert got["y_n"].tolist() == counted
 
 
+IN_C = '<P Name="name">chart</P><P Name="actionLanguage">0</P>'
+
+
+def test_actions_in_c_count_and_compare(tmp_path: Path) -> None:
+    parts = [
+        state(1, "A\nduring:\nn++; // twice u\ny += 2*u;"),
+        state(2, "B"),
+        way(11, None, 1),
+        way(12, 1, 2, "[!(u > 1) && v != 0]{n = 0;}/y = -1;"),
+    ]
+    held = [data("n", "OUTPUT"), data("y", "OUTPUT")]
+    found = chart(tmp_path, "".join(parts), *held, settings=IN_C, outputs=("n", "y"))
+    got = flown(found, [5.0, 2, 0.5, 0.5], [0.0, 0, 0, 1])
+    assert got["y_n"].tolist() == [0, 1, 2, 0]
+    assert got["y_y"].tolist() == [0, 4, 5, -1]
+
+
+@pytest.mark.parametrize(
+    ("label", "why"),
+    [
+        ("{log = u ? 1 : 2;}", "'? 1 : 2;' in C is not translated"),
+        ("{log = f(u);}", "f is a function in C"),
+        ("{log = 1/2;}", "the quotient of 1 and 2 is whole in C"),
+        ("{++log;}", "++ before a name in C"),
+        ("{log = k + 1;}", "arithmetic in C with other numbers than doubles"),
+        ("[log = 1]", "an assignment in a condition"),
+        ("[u == v < 1]", "== beside < in C"),
+        ("{k = u;}", "real in uint8 has other rules in C"),
+    ],
+)
+def test_c_that_means_something_else_in_matlab_is_refused(tmp_path: Path, label: str, why: str) -> None:
+    extra = [data("k", "LOCAL", "uint8")] if "k" in label else []
+    parts = way(1, None, 2) + state(2, "A") + way(3, 2, 2, label)
+    (refused, *_) = chart(tmp_path, parts, *extra, settings=IN_C).refused
+    assert why in refused.why
+
+
+def test_whole_numbers_in_c_take_literals(tmp_path: Path) -> None:
+    parts = (
+        state(1, "A\nentry: k = 3;") + state(2, "B") + way(11, None, 1) + way(12, 1, 2, "[k == 3 && u > 0]{k = 200;}")
+    )
+    found = chart(tmp_path, parts, data("k", "OUTPUT", "uint8"), settings=IN_C, outputs=("k",))
+    assert flown(found, [0.0, 0, 1, 0])["y_k"].tolist() == [3, 3, 200, 200]
+
+
+def test_a_discrete_chart_acts_at_its_own_times(tmp_path: Path) -> None:
+    settings = '<P Name="updateMethod">DISCRETE</P><P Name="sampleTime">0.02</P>'
+    found = chart(tmp_path, state(1, f"A\nduring: {said(1)}") + way(11, None, 1), settings=settings)
+    assert flown(found, [0.0] * 5)["y_log"].tolist() == [0, 0, 1, 1, 11]
+
+
+def test_outputs_begin_anew_at_each_tick(tmp_path: Path) -> None:
+    parts = state(1, "A") + way(11, None, 1) + way(12, 1, 1, "[u > 0]{log = 5;}")
+    found = chart(tmp_path, parts, settings='<P Name="initializeOutput">1</P>')
+    assert flown(found, [1.0, 1, 0, 2])["y_log"].tolist() == [0, 5, 0, 5]
+
+
 def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> None:
     parts = [
         junction(1),
@@ -275,7 +334,7 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
             "the Simulink function f(x)",
         ),
         (way(1, None, 2) + state(2, "A", data("log", "LOCAL")), "", "the name log stands for two things"),
-        (way(1, None, 2) + state(2, "A"), '<P Name="name">chart</P><P Name="actionLanguage">0</P>', "language is C"),
+        (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "[u > 0]") + way(4, 2, 2), "", "the order of the transitions"),
         (
             way(1, None, 2) + state(2, "A\nentry: log = double(int8(u) + 1);"),
             '<P Name="saturateOnIntegerOverflow">0</P>',
@@ -293,7 +352,7 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
             + way(7, 5, 6, "[u > 0]")
             + way(8, 6, 5, "[u > 1]")
             + state(2, "A")
-            + way(9, 6, 2),
+            + way(9, 6, 2, order=2),
             "",
             "in a circle",
         ),

@@ -8,23 +8,27 @@ way does not reach a state. Exit actions go from the inside out, entry actions f
 
 Graphical functions, and functions in MATLAB's language, see and change the chart's data.
 
-Charts in MATLAB's language are translated, without events; anything else is refused.
+Actions in C are read as MATLAB's where both mean the same. Charts have no events; anything else is refused.
 """
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from twodof.blocks.bus import Bus, grouped
+from twodof.blocks.declarations import Port
+from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
 from twodof.slx.matlab.evaluation import evaluate, names_in
 from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.program import IN_C
 from twodof.slx.matlab.values import FUNCTIONS, Members, Value, as_array, number
 from twodof.slx.model import SimulinkChart, collapsed, port_number
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
@@ -39,10 +43,8 @@ _KEYWORD = re.compile(
 _AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
 _SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
 _SETTINGS = {
-    "actionLanguage": ("2", "its action language is C"),
-    "initializeOutput": ("0", "its outputs are initialized at each tick"),
-    "updateMethod": ("INHERITED", "it has an update method of its own"),
-    "stateMachineType": ("CLASSIC", "it is a Moore or Mealy machine"),
+    "updateMethod": ({"INHERITED", "DISCRETE"}, "it is updated continuously"),
+    "stateMachineType": ({"CLASSIC"}, "it is a Moore or Mealy machine"),
 }
 Form = Mapping[str, Any]
 """A part of a chart as the reader gives it: tag, id, name, values and the parts inside."""
@@ -98,24 +100,37 @@ class ChartCode:
 
     text: str
     known: dict[str, Value]
-    declared: dict[str, str]
+    declared: dict[str, Kind]
     owners: list[str]
     notes: list[str]
 
 
 def chart_code(
-    form: Form, inputs: Sequence[str], outputs: Sequence[str], names: Mapping[str, Value], dt: float
+    form: Form,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    names: Mapping[str, Value],
+    dt: float,
+    exact: bool = False,
 ) -> ChartCode:
-    """Translate a chart with these ports, in their order, for a period [s]. Raises NotTranslated, naming the part."""
-    return _Chart(form, names, dt).code(inputs, outputs)
+    """Translate a chart with these ports, in their order, for a period [s]. Raises NotTranslated, naming the part.
+
+    `exact` says that all its inputs are doubles or logical: then arithmetic in C is that of MATLAB.
+    """
+    return _Chart(form, names, dt, exact).code(inputs, outputs)
 
 
 class _Chart:
-    def __init__(self, form: Form, names: Mapping[str, Value], dt: float) -> None:
-        for setting, (value, why) in _SETTINGS.items():
-            if form["values"].get(setting, "" if setting == "actionLanguage" else value) != value:
+    def __init__(self, form: Form, names: Mapping[str, Value], dt: float, exact: bool) -> None:
+        for setting, (known, why) in _SETTINGS.items():
+            if form["values"].get(setting, next(iter(known))) not in known:
                 raise NotTranslated(why)
+        self.in_c = form["values"].get("actionLanguage", "") != "2"
+        self.afresh = form["values"].get("initializeOutput", "0") == "1"
         self.names, self.dt = names, dt
+        typed = re.compile(r"Inherit|double|boolean")
+        kinds = [one["values"].get("dataType", "double") for one in _parts(form) if one["tag"] == "data"]
+        self.exact = exact and all(map(typed.match, kinds))
         self.at_start = form["values"].get("executeAtInitialization", "0") == "1"
         self.states: dict[str, _State] = {}
         self.junctions: set[str] = set()
@@ -125,6 +140,8 @@ class _Chart:
         self.notes: list[str] = []
         self.root = _State("chart", "the chart", None, form["values"].get("decomposition") == "SET_CHART")
         self._read(form, self.root, 0)
+        if self.in_c:
+            self._from_c()
         called = [one["name"] for one in self.data] + [one.name for one in self.functions]
         if len(set(called)) < len(called):
             twice = next(one for one in called if called.count(one) > 1)
@@ -132,6 +149,9 @@ class _Chart:
         for way in self._ways():
             if way.target not in self.states and way.target not in self.junctions:
                 raise NotTranslated(f"{_shown(way)}: it leads to no state")
+            alike = [one for one in self._from(way.source) if way.source and one.order == way.order]
+            if len({id(one.parent) if one.source in self.states else 0 for one in alike}) < len(alike):
+                raise NotTranslated(f"{_shown(way)}: the order of the transitions is not in the file")
         self.lines: list[str] = []
         self.owners: list[str] = []
         self.clocks: dict[str, _State] = {}
@@ -198,6 +218,20 @@ class _Chart:
         self.states[made.id] = made
         self._read(part, made, depth + 1)
 
+    def _from_c(self) -> None:
+        """Write conditions and actions in C as in MATLAB's language."""
+        functions = {one.name for one in self.functions}
+        for way in self._ways():
+            if way.condition and re.search(r"(?<![=!<>~])=(?!=)", way.condition):
+                raise NotTranslated(f"{_shown(way)}: an assignment in a condition")
+            owner = _shown(way)
+            way.condition, way.action, way.at_end = (
+                matlab_of(text, functions, self.exact, owner) for text in (way.condition, way.action, way.at_end)
+            )
+        for state in self.states.values():
+            for name, text in state.actions.items():
+                state.actions[name] = matlab_of(text, functions, self.exact, f"{name} of {state.name}")
+
     def _ways(self) -> Iterator[_Way]:
         for state in (self.root, *self.states.values(), *self.functions):
             yield from state.ways
@@ -209,15 +243,16 @@ class _Chart:
 
     def code(self, inputs: Sequence[str], outputs: Sequence[str]) -> ChartCode:
         """Return the chart as a function of these inputs and outputs."""
-        known: dict[str, Value] = {}
-        declared: dict[str, str] = {}
-        kept, parameters = list[str](), list[str]()
+        known: dict[str, Value] = {IN_C: True} if self.in_c else {}
+        declared: dict[str, Kind] = {}
+        kept, parameters, afresh = list[str](), list[str](), list[str]()
         for part in self.data:
             name, scope = part["name"], part["values"].get("scope", "LOCAL_DATA")
             if scope in ("OUTPUT_DATA", "LOCAL_DATA"):
                 kept.append(name)
                 declared[name] = self._kind(part)
                 known[f"initial_{name}"] = self._initial(part, declared[name])
+                afresh += [name] * (self.afresh and scope == "OUTPUT_DATA")
             elif scope == "CONSTANT_DATA":
                 known[name] = self._initial(part, self._kind(part))
             elif scope == "PARAMETER_DATA":
@@ -241,13 +276,14 @@ class _Chart:
         head += [f"persistent {' '.join([*kept, *memory, 'was_entered'])}", "if isempty(was_entered)"]
         head += [f"{name} = initial_{name};" for name in kept] + [f"{name} = 0;" for name in memory]
         head += ["was_entered = true;"]
+        again = [(f"{name} = initial_{name};", "") for name in afresh]
         clocks = [f"{name} = {name} + 1;" for name in self.clocks]
-        middle = [("else", ""), *((line, "") for line in clocks), *step]
+        middle = [("else", ""), *again, *((line, "") for line in clocks), *step]
         if self.at_start:  # the chart is entered before the first tick, which acts as any other
             used = {name for line, _ in first for name in names_in(line)}
             if self.clocks or used & set(inputs):
                 raise NotTranslated("it executes at initialization, with after() or with inputs in its entry")
-            middle = [("end", ""), ("if true", ""), *step]
+            middle = [("end", ""), ("if true", ""), *again, *step]
         unread = {f"{one.since} = 0;" for one in self.states.values()} - {f"{name} = 0;" for name in self.clocks}
         text = [*((line, "") for line in head), *first, *middle, ("end", ""), ("end", "")]
         text = [one for one in text if one[0] not in unread]
@@ -257,7 +293,7 @@ class _Chart:
             raise NotTranslated(f"it takes more than {MOST_LINES} lines")
         return ChartCode("\n".join(line for line, _ in text), known, declared, [owner for _, owner in text], self.notes)
 
-    def _function(self, function: _State, known: dict[str, Value], declared: dict[str, str]) -> None:
+    def _function(self, function: _State, known: dict[str, Value], declared: dict[str, Kind]) -> None:
         """Write a graphical function: its result is 0 where no way gives one. The data of a script have kinds only."""
         for part in function.data:
             scope, said = part["values"].get("scope", "LOCAL_DATA"), part["values"].get("dataType", "double")
@@ -275,22 +311,41 @@ class _Chart:
         self._flow([way for way in function.ways if not way.source], self._flag(), None, function, [], 0)
         self._say("end")
 
-    def _kind(self, part: Form) -> str:
+    def _kind(self, part: Form) -> Kind:
         said = part["values"].get("dataType", "double")
         kind = "real" if said.startswith("Inherit") else kind_of(said, self.names)
         if kind == "float32":
             self.notes.append(f"{part['name']}: single is computed in the precision of the build")
             return "real"
-        if not isinstance(kind, str) or kind == "float64":
+        leaves = [one.kind for one in kind.leaves] if isinstance(kind, Bus) else [kind]
+        if not {"float32", "float64"}.isdisjoint(leaves) or not all(isinstance(one, str) for one in leaves):
             raise NotTranslated(f"the data {part['name']} of type {said} is not translated")
         return kind
 
-    def _initial(self, part: Form, kind: str) -> Value:
+    def _begins_with_0(self, said: str) -> None:
+        """Raise NotTranslated for a type with an enumeration whose default, the first member, is not 0."""
+        name = said.rpartition(":")[2].strip()
+        given = self.names.get(name)
+        if isinstance(given, Members) and (not given or as_array(next(iter(given.values()))).item() != 0):
+            raise NotTranslated(f"the enumeration {name} does not begin with 0")
+        elements = given.get("Elements", []) if isinstance(given, dict) else []
+        for one in elements if isinstance(elements, list) else [elements]:
+            self._begins_with_0(str(one.get("DataType", "")))
+
+    def _initial(self, part: Form, kind: Kind) -> Value:
         values, name = part["values"], part["name"]
         text = values.get("props/initialValue", values.get("initialValue", "")).strip()
         sizes = values.get("props/array/size", "1").strip()
         if values.get("initFromWorkspace", "0") == "1":
             text = name
+        if not text:
+            self._begins_with_0(values.get("dataType", ""))
+        if isinstance(kind, Bus):
+            if text or sizes not in ("1", "-1"):
+                raise NotTranslated(f"the data {name} of a bus has an initial value or a size")
+            return _zero(Port(name, kind))
+        if not isinstance(kind, str):
+            raise NotTranslated(f"the data {name} of type {kind} is not translated")
         try:
             start = as_array(number(evaluate(text, self.names, name))) if text else np.zeros((1, 1))
             shape = [int(n) for n in as_array(evaluate(sizes or "1", self.names, name)).flatten()]
@@ -304,7 +359,7 @@ class _Chart:
         elif start.size != 1:
             raise NotTranslated(f"the data {name} has {start.size} initial values for the size {sizes}")
         whole_array = np.full(whole, start.item()) if start.size == 1 else start.reshape(whole, order="F")
-        return FUNCTIONS[{"real": "double", "bool": "logical"}.get(kind, kind)](whole_array)
+        return _as(kind, whole_array)
 
     def _block(self, write: Callable[[], None]) -> list[tuple[str, str]]:
         self.lines, self.owners = [], []
@@ -472,6 +527,72 @@ class _Chart:
         return _AFTER.sub(count, way.condition) or "true"
 
 
+def _parts(form: Form) -> Iterator[Form]:
+    for one in form["inside"]:
+        yield from (one, *_parts(one))
+
+
+_C = re.compile(
+    r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
+    r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|&&|\|\||[-+*/!<>=();,\[\].])"
+)
+_SAME_IN_C = {"after", "abs", "true", "false"}
+"""Functions that mean the same in C and in MATLAB's language."""
+
+
+def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
+    """Return an action or a condition of C in MATLAB's language; `functions` are those of the chart.
+
+    Raises NotTranslated where the two languages may differ: whole numbers and singles (unless `exact`) have other rules
+    of arithmetic, quotients of literals are whole, and other functions are C code.
+    """
+    tokens, at = list[str](), 0
+    while at < len(text):
+        found = _C.match(text, at)
+        if found is None:
+            raise NotTranslated(f"{owner}: {text[at : at + 12]!r} in C is not translated")
+        tokens.append(found[0])
+        at = found.end()
+    solid = [one for one in tokens if one.strip(" .\t\n") or one == "."]
+    for k, (one, after) in enumerate(pairwise([*solid, ""])):
+        before = solid[k - 1] if k else ""
+        if after == "(" and one.isidentifier() and one not in functions | _SAME_IN_C and before != ".":
+            raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
+        if one in ("++", "--") and not before.isidentifier():
+            raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
+        if one in ("if", "for", "while", "return", "ml") or (after == "(" and before == "." and one.isidentifier()):
+            raise NotTranslated(f"{owner}: {one} in C is not translated")
+        if one == "/" and before[:1].isdigit() and after[:1].isdigit() and "." not in before + after:
+            raise NotTranslated(f"{owner}: the quotient of {before} and {after} is whole in C")
+        signed = one == "-" and (before in ("", "=", "(", "==", "<", ">", "<=", ">=", "!=", "&&", "||"))
+        if (
+            not exact
+            and one in ("+", "-", "*", "/", "++", "--", "+=", "-=", "*=", "/=")
+            and not (signed and after[:1].isdigit())
+        ):
+            raise NotTranslated(f"{owner}: arithmetic in C with other numbers than doubles is not translated")
+        if one in ("[", "/=", "*="):
+            raise NotTranslated(f"{owner}: {one!r} in C is not translated")
+    if re.search(r"[=!]=[^&|()]*[<>]|[<>][^&|()]*[=!]=", text):
+        raise NotTranslated(f"{owner}: == beside < in C is not translated")
+    made = "".join({"!": "~", "!=": "~="}.get(one, one) for one in tokens)
+    made = re.sub(r"([\w.]+)\s*(\+\+|--)", lambda m: f"{m[1]} = {m[1]} {m[2][0]} 1", made)
+    return re.sub(r"([\w.]+)\s*([-+])=\s*([^;,\n]*)", r"\1 = \1 \2 (\3)", made)
+
+
+def _as(kind: str, array: np.ndarray[Any, Any]) -> Value:
+    return FUNCTIONS[{"real": "double", "bool": "logical"}.get(kind, kind)](array)
+
+
+def _zero(port: Port) -> Value:
+    """Return what a port without a value gives."""
+    if isinstance(port.kind, Bus) and port.width is None:
+        return {one.name: _zero(one) for one in port.kind.fields}
+    if not isinstance(port.kind, str):
+        raise NotTranslated(f"the array {port.name} of buses is not translated")
+    return _as(port.kind, np.zeros(port.shape or (port.width or 1, 1)))
+
+
 def _shown(way: _Way) -> str:
     label = f"[{way.condition}]" if way.condition else f"{way.order} of {way.parent.name}"
     return f"the transition {label[:60]}"
@@ -525,10 +646,17 @@ def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
 
 
 def _check_overflow(chart: SimulinkChart, item: MatlabFunction) -> None:
-    """Raise NotTranslated for integers that wrap around: here they saturate, as they do by default."""
+    """Raise NotTranslated for integers that wrap around: here they saturate. A chart whose file does not say it wraps.
+
+    Actions in C compute nothing with whole numbers; functions in such a chart may.
+    """
     kinds = {one.kind for one in (*item.inputs, *item.outputs)} | {one.kind for one in item.states}
-    whole = not kinds.isdisjoint(INTEGER_TYPES) or re.search(r"\bu?int(8|16|32)\b", chart.text)
-    if whole and chart.form is not None and chart.form["values"].get("saturateOnIntegerOverflow", "1") == "0":
+    whole: Any = not kinds.isdisjoint(INTEGER_TYPES) or re.search(r"\bu?int(8|16|32)\b", chart.text)
+    values = {} if chart.form is None else chart.form["values"]
+    if not chart.function and values.get("actionLanguage", "") != "2":
+        texts = [one["values"].get("eml/script", "") for one in _parts(chart.form or {"inside": ()})]
+        whole = whole and any(re.search(r"[-+*/]", _COMMENT.sub("", text)) for text in texts)
+    if whole and values.get("saturateOnIntegerOverflow", "1" if chart.function else "0") == "0":
         raise NotTranslated("its integers wrap around: let it saturate on integer overflow")
 
 
@@ -565,11 +693,13 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
         elif chart.form is None or len(inputs) != len(c.inputs):
             raise NotTranslated("its chart is not read from this form of file")
         else:
-            code = chart_code(chart.form, inputs, outputs, c.names, c.dt)
+            doubles = all(one.kind in ("real", "bool") for one in c.inputs)
+            code = chart_code(chart.form, inputs, outputs, c.names, c.dt, doubles)
             c.notes += code.notes
             enumerations = {name: value for name, value in c.names.items() if isinstance(value, Members)}
             try:
-                item = MatlabFunction(code.text, c.inputs, enumerations | code.known, inputs, code.declared, c.folders)
+                known, buses = enumerations | code.known, {k: v for k, v in code.declared.items() if isinstance(v, Bus)}
+                item = MatlabFunction(code.text, c.inputs, known, inputs, code.declared, c.folders, buses)
             except DiagramError as reason:
                 line = re.match(r"line (\d+): (.*)", reason.what, re.DOTALL)
                 owner = code.owners[int(line[1]) - 1] if line is not None else ""

@@ -22,7 +22,7 @@ _SHAPE = re.compile(r"(\d{1,6})\*(\d{1,6})")
 _CHUNK = re.compile(r"data/chunk\d+\.xml")
 _CLASS = re.compile(r"^\s*classdef\b[^\n]*?\b(\w+)\s*<\s*(?:Simulink\.IntEnumType|u?int(?:8|16|32))\b", re.MULTILINE)
 _MEMBERS = re.compile(r"^\s*enumeration\b(.*?)^\s*end\b", re.MULTILINE | re.DOTALL)
-_MEMBER = re.compile(r"(\w+)\s*\(\s*(-?\d{1,10})\s*\)")
+_MEMBER = re.compile(r"(\w+)\s*\(\s*(-?\d{1,10}|0[xX][0-9a-fA-F]{1,7})\s*\)")
 _NOT_TYPED = ("", "auto", "double")
 MOST_DICTIONARIES = 50
 
@@ -86,7 +86,12 @@ def _file(name: str, folders: Sequence[Path]) -> Path | None:
 
 
 def _enumeration(members: dict[str, str]) -> Value:
-    return Members({name: np.array([[int(number)]], dtype=np.int32) for name, number in members.items()})
+    return Members(
+        {
+            name: np.array([[int(number, 16 if "x" in number.lower() else 10)]], dtype=np.int32)
+            for name, number in members.items()
+        }
+    )
 
 
 def _value(plain: Any) -> Value:

@@ -377,7 +377,11 @@ class _Import(Wiring):
     def _values(self, key: tuple[str, str]) -> dict[str, str]:
         """Return a block's values as text: those of its file's defaults, its own, and what a link gives."""
         block = self.blocks[key]
-        return {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
+        values = {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
+        chart = self.code.get(below(key[0], block)) if block.kind == "Chart" else None
+        if chart is not None and chart.form is not None and chart.form["values"].get("updateMethod") == "DISCRETE":
+            values["SampleTime"] = chart.form["values"].get("sampleTime", "-1")
+        return values
 
     # --- the types of the signals
 

@@ -58,7 +58,7 @@ class MatlabFunction(Block):
         signals: Sequence[Signal],
         names: Mapping[str, Value] | None = None,
         ports: Sequence[str] = (),
-        declared: Mapping[str, str] | None = None,
+        declared: Mapping[str, Any] | None = None,
         folders: Sequence[Path] = (),
         buses: Mapping[str, Bus] | None = None,
     ) -> None:

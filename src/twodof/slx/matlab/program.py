@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from twodof.blocks.bus import Bus
 from twodof.blocks.expressions.expr import where
+from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
 from twodof.slx.matlab.evaluation import (
@@ -48,6 +50,8 @@ _CLAUSES = {"elseif", "else", "case", "otherwise", "catch"}
 _WORDS = _OPENING | _CLAUSES | {"end"}
 _LEAVING = {"return": "#return", "break": "#break", "continue": "#continue"}
 """The names that say under which condition the statements after one of these are left out."""
+IN_C = "#in C"
+"""A known name that says that a chart's actions are in C."""
 _SILENT = {"assert", "error", "pause", "drawnow", "eml.extrinsic", "eml.inline"} | {
     f"coder.{name}" for name in ("inline", "extrinsic", "allowpcode", "varsize", "unroll", "cstructname", "cinclude")
 }
@@ -88,7 +92,7 @@ class Code:
         self.notes: list[str] = []
         self.known: dict[str, Value] = {}
         """Names that every function sees: enumerations."""
-        self.declared: dict[str, str] = {}
+        self.declared: dict[str, Any] = {}
         """Kinds to which names convert what they are assigned: a chart's data, and `function.name`."""
         self.shared: set[str] | None = None
         """Names of a chart's main function that its other functions see and change."""
@@ -236,8 +240,8 @@ class Program(EvaluatingParser):
         """Convert names that have a declared kind."""
         for name, kind in self.kinds.items():
             value = self.evaluation.names.get(name, EMPTY)
-            if not is_empty(value) and class_of(as_array(value)) != kind:
-                self.evaluation.names[name] = converted(as_array(value), kind)
+            if not is_empty(value):
+                self.evaluation.names[name] = _of_kind(value, kind, IN_C in self.code.known)
 
     def _empty(self) -> set[str]:
         """Return the persistent variables that have no value yet."""
@@ -561,6 +565,18 @@ def call(
         if name not in names and depth == 0:
             raise NotComputed(f"the output {name} gets no value")
     return names
+
+
+def _of_kind(value: Value, kind: Any, in_c: bool) -> Value:
+    """Return a value as one of this kind; of a bus each field."""
+    if isinstance(value, dict) and isinstance(kind, Bus):
+        fields = {one.name: one.kind for one in kind.fields}
+        return {name: _of_kind(one, fields.get(name), in_c) for name, one in value.items()}
+    array = as_array(value)
+    if in_c and kind in INTEGER_TYPES and class_of(array) not in (kind, "bool"):
+        if is_signal(array) or not np.array_equal(array.astype(kind), array):
+            raise NotComputed(f"{class_of(array)} in {kind} has other rules in C")
+    return value if kind is None or class_of(array) == kind else converted(array, kind)
 
 
 def is_empty(value: Value) -> bool:
