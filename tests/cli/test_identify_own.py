@@ -1,5 +1,6 @@
 """`twodof identify` of an own structure on the columns of tables, and its plot."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -222,3 +223,74 @@ def test_wrong_options_are_refused_with_a_remedy(
     said = capfd.readouterr().err
     assert reason in " ".join(said.split()), said
     assert "Traceback" not in said
+
+
+Rows = list[list[str]]
+
+
+def cell(row: int, column: int, text: str) -> Callable[[Rows], Rows]:
+    """Return the change of one cell; row 0 holds the headings."""
+    return lambda rows: [*rows[:row], [*rows[row][:column], text, *rows[row][column + 1 :]], *rows[row + 1 :]]
+
+
+def headed(*names: str) -> Callable[[Rows], Rows]:
+    return lambda rows: [list(names), *rows[1:]]
+
+
+def moved(column: int, steps: int) -> Callable[[Rows], Rows]:
+    """Return the change that logs a column so many rows late."""
+    return lambda rows: [
+        rows[0],
+        *([*r[:column], rows[max(k - steps, 0) + 1][column], *r[column + 1 :]] for k, r in enumerate(rows[1:])),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "separator", "words"),
+    [
+        (lambda rows: [row[:2] for row in rows], ",", "no column 'tacho'"),
+        (cell(41, 2, "oops"), ",", "words, 'oops' in row 41"),
+        (cell(41, 2, "nan"), ",", "nan at sample 40"),
+        (cell(41, 2, ""), ",", ""),
+        (cell(41, 1, "inf"), ",", "inf at sample 40"),
+        (lambda rows: [*rows[:41], rows[40], *rows[41:]], ",", "repeated stamps"),
+        (lambda rows: [rows[0], *rows[:0:-1]], ",", "sort the samples"),
+        (headed("stamp [s]", "volt [V]", "tacho [rad/s]", "back"), ",", ""),
+        (headed("stamp (s)", "volt (V)", "tacho (rad/s)", "back"), ",", ""),
+        (lambda rows: [["stamp", "volt", "tacho", "back"], ["s", "V", "rad/s", "-"], *rows[1:]], ",", ""),
+        (lambda rows: [["stamp [ms]", *rows[0][1:]], *([str(1e3 * float(r[0])), *r[1:]] for r in rows[1:])], ",", ""),
+        (lambda rows: rows[:2], ",", "holds 1 samples"),
+        (lambda rows: rows[:1], ",", "give a header line and below it numbers"),
+        (lambda rows: rows[1:], ",", "write the names of the columns"),
+        (lambda rows: [[one.replace(".", ",") for one in row] for row in rows], ";", ""),
+        (lambda rows: [[one.replace(".", ",") for one in row] for row in rows], ",", "a comma may be the decimal mark"),
+        (lambda rows: [*rows[:41], rows[41][:2], *rows[42:]], ",", "Expected 4 columns, got 2"),
+        (cell(300, 2, "2000"), ",", "speed at 2.99 s"),
+        (cell(300, 1, "6000"), ",", "u at 2.99 s"),
+        (moved(1, 100), ",", "s before the time stamps"),
+        (moved(2, 100), ",", "s after the time stamps"),
+    ],
+)
+def test_a_broken_table_is_right_refused_or_noted(
+    folder: Path,
+    tmp_path: Path,
+    change: Callable[[Rows], Rows],
+    separator: str,
+    words: str,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    rows = change([line.split(",") for line in (folder / "m.csv").read_text().splitlines()])
+    (tmp_path / "t.csv").write_text("".join(separator.join(row) + "\n" for row in rows))
+    structure = f"{folder / 'model.py'}:structure"
+    code = run(["identify", str(tmp_path / "t.csv"), "--structure", structure, *COLUMNS])
+    said = capfd.readouterr()
+    both = " ".join((said.out + said.err).split())
+    assert "Traceback" not in both
+    assert words in both
+    assert not code or "remedy: " in both or "note: " in both
+    if not words:
+        values = {
+            line.split()[0]: float(line.split()[1]) for line in said.out.splitlines() if line[:4] in ("gain", "time")
+        }
+        assert values == pytest.approx({"gain": GAIN, "time_constant": TIME_CONSTANT}, rel=0.02)
+    assert bool(words) or code == 0

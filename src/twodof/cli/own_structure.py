@@ -103,6 +103,9 @@ def _check_column(log: FlightLog, column: str, remedy: str) -> None:
     """Raise LogError for a column that is not there."""
     if column not in log:
         known, ignored = nearest(column, log.channels), log.provenance.get("ignored")
+        if held := [one for one in ignored or () if one.startswith(f"{column} (")]:
+            remedy = "write numbers only, and leave a cell empty where there is no sample"
+            raise LogError(f"a column is not of numbers: {held[0]}", log.source, remedy)
         others = f"; not a channel: {listed(ignored)}" if ignored else ""
         raise LogError(f"has no column {shown(column)}", log.source, f"{remedy}; there are: {known}{others}")
 

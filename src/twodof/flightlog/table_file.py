@@ -48,7 +48,9 @@ _MARK = f"# {_META} ".encode()
 _VERSION = 1
 _NUMBER = re.compile(r"[-+]?[\d.,]*\d[-+\d.,:/TZeE ]*|nan|inf", re.IGNORECASE)
 """A number or a date in a cell of CSV."""
-_NO_NUMBER = re.compile(r"In CSV column #(?P<column>\d+): .*conversion error to double: invalid value '(?P<cell>.*)'")
+_NO_NUMBER = re.compile(
+    r"In CSV column #(?P<column>\d+): Row #(?P<row>\d+): .*conversion error to double: invalid value '(?P<cell>.*)'"
+)
 _MISSING = ("NA", "N/A", "#N/A", "null", "NULL", "None", "-")
 """Cells without a number, as other programs write them."""
 _PER_SECOND = {
@@ -58,7 +60,7 @@ _PER_SECOND = {
     "ns": 1e9,
 }
 """How many of a unit of time, as a heading names it, are a second."""
-_HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
+_HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)(?:\s*\[(?P<unit>[^\[\]]*)\]|\s+\((?P<round>[^()]*)\))?\s*")
 
 
 def write_parquet(log: FlightLog, path: str | Path, wide: bool = False) -> None:
@@ -155,12 +157,13 @@ def _parsed(
 def _without_words(
     data: bytes, start: int, names: list[str], separator: str, stamps: list[str], where: str
 ) -> tuple[pa.Table, list[str]]:
-    """Return the rows without columns of words, and the names of these. The columns `stamps` may hold dates."""
+    """Return the rows without columns of words, and the first word of each. The columns `stamps` may hold dates."""
     types: dict[str, pa.DataType | None] = {}
-    words: list[str] = []
+    words: dict[str, str] = {}
     while True:
         try:
-            return _parsed(data, start, names, separator, types, where).drop_columns(words), words
+            table = _parsed(data, start, names, separator, types, where).drop_columns(list(words))
+            return table, [f"{name} ({first})" for name, first in words.items()]
         except LogError as error:
             found = _NO_NUMBER.search(error.what)
             name = names[int(found["column"])] if found else ""
@@ -168,7 +171,7 @@ def _without_words(
                 types[name] = None
             elif found and name not in types and found["cell"][:1].isalpha() and len(words) + 2 < len(names):
                 types[name] = pa.string()
-                words.append(name)
+                words[name] = f"words, {found['cell']!r:.40} in row {found['row']}"
             else:
                 raise
 
@@ -240,7 +243,7 @@ def _log(
         if count != row["samples"]:
             what = f"truncated: {count} of {row['samples']} samples of {name!r} are there"
             raise LogError(what, where, "write it again")
-    ignored = {"ignored": [f"{name} (words)" for name in words]} if words else {}
+    ignored = {"ignored": words} if words else {}
     return FlightLog(channels, {**kept, **ignored, "file": file})
 
 
@@ -461,9 +464,9 @@ def _channel(
 
 
 def _name_and_unit(heading: str) -> tuple[str, str]:
-    """Return name and unit of a column's heading, such as `theta [rad]`."""
+    """Return name and unit of a column's heading, such as `theta [rad]` or `theta (rad)`."""
     match = _HEADING.fullmatch(heading)
-    return (match["name"], match["unit"] or "") if match else (heading, "")
+    return (match["name"], match["unit"] or match["round"] or "") if match else (heading, "")
 
 
 def _numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance, uncertain_unknowns
 from twodof.identify.disturbance.disturbance_model import Disturbance, DisturbanceModel, inputs_that_answer
-from twodof.identify.disturbance.noise_search import Disturbed, astray, check_disturbance, passes, search
+from twodof.identify.disturbance.noise_search import Disturbed, astray, check_disturbance, likelier, passes, search
 from twodof.identify.disturbance.walk import (
     can_predict,
     first_gains,
@@ -59,8 +59,10 @@ _FAR_BETTER = 0.5
 """The same where the input seems to answer the output: feedback, too, makes a later input fit better."""
 _ALIKE = 1.05
 """Residual of an offset over that of the best one, up to which both are named."""
-_TRIES = 20
-"""Steps of the search that tries a suggestion."""
+_LONE, _BESIDE = 20.0, 0.5
+"""Size of an outlier over the usual one, and the most of it that the samples beside it may reach."""
+_TRIES, _TURNS = 20, 5
+"""Steps of the search that tries a suggestion, and how often it looks for another delay."""
 _FINE, _ROUGH = 1e-10, 1e-6
 """Relative decrease that ends a search, and one under weights that are still to change."""
 _TURN = {"rad": 2.0 * math.pi, "rad/s": 35.0}
@@ -105,7 +107,8 @@ def fit(
     open loop 1,600, and "input" for shorter ones. It stays with output error where `noise` or `band` is given. For a
     record under 800 samples "input" asks for a linear structure with the lag of the actuator. Another one takes "ar" in
     closed loop, from 250 samples on, and output error in open loop. In open loop output error also stays where the
-    noise model would change the estimates by more than chance: then the structure is wrong.
+    noise model would change the estimates by more than chance: then the structure is wrong. A structure of
+    `linear_model` takes "innovation", a predictor with gains that are found along, where its data are far likelier so.
     With "walk" random pushes move states of the structure that says which (`Structure.pushed`), beside white noise at
     its one output, and "auto" takes it for such a structure.
     `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are still estimated,
@@ -212,7 +215,7 @@ def fit(
         gaps=tuple(_gaps(structure, several)),
         offsets=tuple(_offsets(problem, wanted, poor)),
         model=structure,
-        suggestions=(*_in_degrees(problem), *_standing_still(problem), *further),
+        suggestions=(*_in_degrees(problem), *_standing_still(problem), *_outliers(problem, found), *further),
     )
 
 
@@ -222,14 +225,23 @@ def _found(
     disturbance: Disturbance,
     noise: Mapping[str, float],
 ) -> Disturbed:
-    """Search by output error and its noise model, or by a predictor where that is asked for or the plant is unstable.
+    """Search by output error and its noise model, or by a predictor.
 
-    In open loop an unstable plant may be simulated. In closed loop its simulation runs away from the data.
+    A predictor is searched where it is asked for, and on "auto" where output error leaves a colour. There it is taken
+    for an unstable plant whose simulation runs away from the data, and where these are likelier by far under it.
     """
     structure, records = problem.structure, problem.records
     able = problem.band is None and not noise and can_predict(structure, records)
+    minimum, failed = None, None
+    try:
+        minimum = _solve(problem, noise)
+    except IdentificationError as error:
+        failed = error
+    found = None
+    coloured = minimum is None or not passes(problem, problem.residual(minimum.x))
+    if able and (disturbance == "innovation" or (disturbance == "auto" and coloured)):
+        found = _predicted(problem, posed, minimum)
     if disturbance == "innovation":
-        found = _predicted(problem, posed) if able else None
         if found is None:
             raise structure.error(
                 "disturbance='innovation' needs a structure of linear_model, held inputs, outputs at each step and a "
@@ -237,56 +249,56 @@ def _found(
                 "take disturbance='ar', which any structure can have",
             )
         return found
-    able = able and disturbance == "auto"
-    minimum, failed = None, None
-    try:
-        minimum = _solve(problem, noise)
-        residual = problem.residual(minimum.x)
-        able = able and not passes(problem, residual)
-        able = able and (astray(problem, residual) or bool(inputs_that_answer(problem, residual)))
-    except IdentificationError as error:
-        failed = error
-    found = _predicted(problem, posed) if able else None
-    if found is not None and is_unstable(structure, problem.values(found.minimum.x, 0), records[0].dt):
+    lost = minimum is None or astray(problem, problem.residual(minimum.x))
+    if found is not None and lost and is_unstable(structure, problem.values(found.minimum.x, 0), records[0].dt):
         return found
     if minimum is None:
         assert failed is not None
         raise failed
-    return search(problem, minimum, disturbance, bool(noise))
+    searched = search(problem, minimum, disturbance, bool(noise))
+    return searched if found is None else likelier(problem, searched, found)
 
 
 def _predicted(
-    problem: Problem, posed: Callable[[Sequence[Record], Mapping[str, float] | None], Problem]
+    problem: Problem,
+    posed: Callable[[Sequence[Record], Mapping[str, float] | None], Problem],
+    minimum: LeastSquaresMinimum | None,
 ) -> Disturbed | None:
-    """Return the likeliest predictor from several first gains, with the gains' doubt in the sensitivities."""
-    tried = []
-    for gains in first_gains(problem.structure, problem.records[0], problem.values(problem.x0, 0)):
+    """Return the likeliest predictor from several first gains, with the gains' doubt in the sensitivities.
+
+    The search begins at output error's `minimum`, if that does not run away from the data.
+    """
+    tried, wanted = [], len(problem.slots)
+    usable = minimum is not None and not astray(problem, problem.residual(minimum.x))
+    start = minimum.x if minimum is not None and usable else problem.x0
+    for gains in first_gains(problem.structure, problem.records[0], problem.values(start, 0)):
         own = posed(problem.records, gains)
+        own.x0[:wanted] = start
         try:
-            minimum = _solve(own, {})
+            best = _solve(own, {})
         except IdentificationError:
             continue
         sizes = np.array([block.rows.stop - block.rows.start for block in own.blocks])
-        tried.append((float(sizes @ np.log(own.sigma)), own, minimum))
-        if passes(own, own.residual(minimum.x)):
+        tried.append((float(sizes @ np.log(own.sigma)), own, best))
+        if passes(own, own.residual(best.x)):
             break  # white prediction errors leave nothing to other gains
     if not tried:
         return None
-    _, own, minimum = min(tried, key=lambda one: one[0])
-    wanted, error = len(problem.slots), own.residual(minimum.x)
+    _, own, best = min(tried, key=lambda one: one[0])
+    error = own.residual(best.x)
     model = DisturbanceModel(
         "innovation",
         answering=inputs_that_answer(problem, error),
         dt=problem.records[0].dt,
-        gains=gains_of(own, minimum.x),
+        gains=gains_of(own, best.x),
     )
     return Disturbed(
-        replace(minimum, x=minimum.x[:wanted], at_bound=minimum.at_bound[:wanted]),
-        without_gains(own.central_jacobian(minimum.x), wanted),
+        replace(best, x=best.x[:wanted], at_bound=best.at_bound[:wanted]),
+        without_gains(own.central_jacobian(best.x), wanted),
         error,
         np.ones(len(own.blocks)),
         model,
-        predictor=(own, minimum.x),
+        predictor=(own, best.x),
     )
 
 
@@ -406,6 +418,49 @@ def _standing_still(problem: Problem) -> Iterator[str]:
             )
 
 
+def _outliers(problem: Problem, found: Disturbed) -> Iterator[str]:
+    """Yield the single samples far off the model, and those of inputs far from all others."""
+    own, x = found.predictor or (problem, found.minimum.x)
+    residual = own.residual(x) if problem.band is None else np.zeros(0)
+    signals = []
+    for block in problem.blocks if residual.size else ():
+        record = problem.records[block.record]
+        signals.append((block.output, record, record.output_time(block.output), residual[block.rows], "off the model"))
+    for record in problem.records:
+        for name in problem.structure.inputs:
+            value = record.inputs[name]
+            signals.append((name, record, record.time, value - np.median(value), "from the others"))
+    for name, record, time, value, off in signals:
+        size = np.abs(value)
+        usual = float(np.sqrt(np.mean(np.sort(size)[: int(0.99 * size.size)] ** 2))) if size.size > 1 else 0.0
+        beside = np.maximum(np.append(size[1:], 0.0), np.append(0.0, size[:-1]))
+        lone = np.flatnonzero((size > _LONE * usual) & (beside < _BESIDE * size)) if usual > 0.0 else ()
+        if len(lone):
+            most = lone[int(np.argmax(size[lone]))]
+            more = f" ({len(lone)} samples are like this)" if len(lone) > 1 else ""
+            yield (
+                f"{name} at {time[most]:.6g} s in '{record.name}' is {size[most] / usual:.2g} times as far {off} as "
+                f"usual{more}: if it is an outlier, leave its row out"
+            )
+
+
+def _lag(problem: Problem, x: Array) -> int:
+    """Return by how many steps the outputs come later than the model's at x, where they correlate best."""
+    from scipy.signal import correlate  # imported late: most commands start without it
+
+    most = min(record.steps for record in problem.records) // 4
+    total = np.zeros(2 * most + 1)
+    simulated = [problem.simulate(x, r) for r in range(len(problem.records))]
+    for k, block in enumerate(problem.blocks):
+        record = problem.records[block.record]
+        at, model = record.outputs[block.output].position, simulated[block.record][block.output]
+        y, own = (np.interp(np.arange(record.steps), at, one - one.mean()) for one in (problem.measured(k), model))
+        size = float(np.linalg.norm(y) * np.linalg.norm(own))
+        if 0.0 < size < math.inf:
+            total += correlate(y, own)[record.steps - 1 - most : record.steps + most] / size
+    return int(np.argmax(total)) - most
+
+
 def _check_distinct(structure: Structure, records: Sequence[Record]) -> None:
     """Raise IdentificationError where an output is an input: a model of it needs no data."""
     for record in records:
@@ -424,13 +479,16 @@ def _suggestions(
     poor: bool,
     answered: bool,
 ) -> Iterator[str]:
-    """Yield the offset and the hold of inputs with which output error would leave much less of the data."""
+    """Yield the offset, the hold and the delay of inputs with which output error would leave much less of the data."""
 
-    def left(own: Problem) -> float:
+    def tried(own: Problem) -> LeastSquaresMinimum:
         own.sigma[:] = problem.sigma
         start = np.append(x, own.x0[x.size :])
-        tried = minimise(own.residual, own.jacobian, start, own.lower, own.upper, iterations=_TRIES)
-        return math.sqrt(2.0 * tried.cost) if math.isfinite(tried.cost) else math.inf
+        return minimise(own.residual, own.jacobian, start, own.lower, own.upper, iterations=_TRIES)
+
+    def left(own: Problem) -> float:
+        cost = tried(own).cost
+        return math.sqrt(2.0 * cost / own.size) if math.isfinite(cost) else math.inf
 
     structure, records, before = problem.structure, problem.records, left(problem)
     names = [f"{one}_bias" for one in problem.outputs] + [f"{one}_trim" for one in structure.inputs]
@@ -459,6 +517,30 @@ def _suggestions(
             f"{' and '.join(moving)} may move on between samples: with hold='{best}' the residual falls to "
             f"{held[best] / before:.2g} of itself. Make the record with it (--hold {moving[0]}={best})"
         )
+    late, own, there = 0, problem, x
+    # A wrong delay has made the other unknowns wrong. The better ones tell the delay better.
+    for _ in range(_TURNS if poor else 0):
+        lag = _lag(own, there)
+        if not lag or 2 * abs(late + lag) > records[0].steps:
+            break
+        late += lag
+        own = posed([_later(one, -late) for one in records], None)
+        there = tried(own).x
+    if late and (share := left(own) / before) < _FAR_BETTER:
+        when = f"{abs(late) * records[0].dt:.3g} s {'after' if late > 0 else 'before'}"
+        yield (
+            f"{' and '.join(structure.inputs)} may act about {when} the time stamps: with that the residual falls to "
+            f"{share:.2g} of itself. Move the stamps{', or estimate a dead time' * (late > 0)}"
+        )
+
+
+def _later(record: Record, steps: int) -> Record:
+    """Return the record with its outputs this much later than its inputs, as far as these are known."""
+    outputs = {}
+    for name, one in record.outputs.items():
+        inside = (one.position + steps >= 0.0) & (one.position + steps <= record.steps - 1)
+        outputs[name] = replace(one, position=one.position[inside] + steps, value=one.value[inside])
+    return replace(record, outputs=outputs)
 
 
 def named_model(name: str, record: Record) -> Structure | PolynomialModel:
