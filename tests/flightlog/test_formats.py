@@ -327,7 +327,7 @@ def test_columns_of_words_are_passed_over_and_named(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time,mode,u,by\n0,AUTO,1,me\n1,MANUAL,NA,you\n2,AUTO,3,me\n")
     log = read_log(tmp_path / "a.csv")
     assert ([*log], log["u"].time.tolist(), log["u"].value.tolist()) == (["u"], [0, 2], [1, 3])
-    assert log.provenance["ignored"] == ["mode (words)", "by (words)"]
+    assert log.provenance["ignored"] == ["mode (words, 'AUTO' in row 1)", "by (words, 'me' in row 1)"]
 
 
 def test_units_below_the_heading_are_the_channels(tmp_path: Path) -> None:
