@@ -97,8 +97,9 @@ _GIVES = re.compile(r"assignin|cellToObject")
 
 
 def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
-    """Return what the scripts and .mat files of these folders give the names `wanted`; a name keeps its first value.
+    """Return what the scripts and .mat files of these folders give the names `wanted`.
 
+    A name keeps its first value, and a structure takes the further fields that other scripts give it.
     Scripts that need a name of other scripts run again when those gave it, as in a session of MATLAB's.
     """
     values: dict[str, Value] = {}
@@ -106,13 +107,14 @@ def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
     for _ in range(MOST_TURNS):
         before, needed = len(values), set[str]()
         for file in _files(tuple(folders), "m"):
-            if not _given(file) & asked - values.keys():
+            full = {name for name, value in values.items() if not isinstance(value, dict)}
+            if not _given(file) & asked - full:
                 continue
             found = dict(values)
             with suppress(TwodofError):
                 why = " ".join(one.why for one in read_workspace(file, found, [file.parent, *folders]))
                 needed.update(re.findall(r"(\w+) has no value", why))
-            values = found | values
+            values = _merged(values, found)
         asked |= needed
         if len(values) == before or not asked - values.keys():
             break
@@ -121,6 +123,14 @@ def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
             break
         values = _recorded(file) | values
     return {name: value for name, value in values.items() if name in wanted}
+
+
+def _merged(first: dict[str, Value], then: dict[str, Value]) -> dict[str, Value]:
+    """Return the values of both; where both have a structure it has the fields of both, and else the first counts."""
+    both = {
+        name for name in first.keys() & then.keys() if isinstance(first[name], dict) and isinstance(then[name], dict)
+    }
+    return {**then, **first, **{name: _merged(first[name], then[name]) for name in both}}
 
 
 @cache

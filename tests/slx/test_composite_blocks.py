@@ -201,6 +201,18 @@ def test_a_table_is_looked_up_as_mathworks_code_does(tmp_path: Path, count: int,
     assert np.array_equal(found, wanted)
 
 
+def test_a_table_of_doubles_takes_a_boolean_and_a_whole_number(tmp_path: Path) -> None:
+    values = {"NumberOfTableDimensions": "2", "Table": "[1 2.5 .3 4; 2 -1 6 .7; .1 3 5 -2]",
+              "BreakpointsForDimension1": "[-1 .5 2]", "BreakpointsForDimension2": "[-2 -1 0 3]",
+              "OutDataTypeStr": "double"}  # fmt: skip
+    on, whole = DRAWN[0] > 0, np.round(DRAWN[1]).astype(np.int8)
+    found = run(one_block(tmp_path, "Lookup_n-D", values, ("boolean", "int8")), [on, whole])
+    wanted = [
+        look(TABLE, [ROWS, COLUMNS], (float(a), float(b)), "linear", False) for a, b in zip(on, whole, strict=True)
+    ]
+    assert np.array_equal(found, wanted)
+
+
 @pytest.mark.parametrize("clip", [True, False])
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_table_is_looked_up_at_places_found_apart(tmp_path: Path, count: int, clip: bool) -> None:
@@ -242,6 +254,23 @@ def test_a_table_of_signals_is_looked_up(tmp_path: Path, method: str, wanted: Wa
     lines = [("u1", "block:1"), ("points", "block:2"), ("table", "block:3"), ("block", "y")]
     found = import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
     assert np.array_equal(run(found, [DRAWN[0]]), [wanted(u) for u in DRAWN[0]])
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "wanted"),
+    [
+        ("Sqrt", "signedSqrt", lambda u: np.sign(u) * np.sqrt(abs(u))),
+        ("Sqrt", "rSqrt", lambda u: 1.0 / np.sqrt(u)),
+        ("Math", "log10", np.log10),
+        ("Math", "rem", np.fmod),
+        ("MATLABFcn", "sinc", np.sinc),
+    ],
+)
+def test_functions_of_numbers_are_numpys(tmp_path: Path, kind: str, name: str, wanted: Wanted) -> None:
+    given = [DRAWN[0], np.where(abs(DRAWN[1]) < 0.1, 1.0, DRAWN[1])][: 2 if name == "rem" else 1]
+    given = given if name in ("signedSqrt", "rem") else [abs(given[0]) + 0.1]
+    found = run(one_block(tmp_path, kind, {"Operator": name, "MATLABFcn": name}, ("double",) * len(given)), given)
+    assert np.allclose(found, wanted(*given), rtol=1e-14, atol=1e-14)
 
 
 def test_a_truth_table_and_a_row_times_a_matrix(tmp_path: Path) -> None:

@@ -123,7 +123,7 @@ def test_a_discrete_pid_follows_mathworks_order_of_operations(tmp_path: Path) ->
 
 
 def test_a_variant_is_its_active_choice(tmp_path: Path) -> None:
-    """One choice is a gain, the other one a MATLAB Function, whose code the file has under the choice's path."""
+    """Choices: a gain, a MATLAB Function, whose code the file has under the choice's path, and a referenced model."""
     function = ("SubSystem", "k", {"SFBlockType": "MATLAB Function", "Ports": "[1, 1]"})
     choices = ""
     for number, block in ((1, ("Gain", "k", {"Gain": "3"})), (2, function)):
@@ -131,6 +131,10 @@ def test_a_variant_is_its_active_choice(tmp_path: Path) -> None:
         system = sheet["simulink/blockdiagram.xml"].partition("<Model>")[2].partition("</Model>")[0]
         control = f'<P Name="VariantControl">MODE == {number}</P>'
         choices += f'<Block BlockType="SubSystem" Name="choice {number}" SID="1{number}">{control}{system}</Block>'
+    inner = [("Inport", "in", {}), ("Gain", "k", {"Gain": "7"}), ("Outport", "out", {})]
+    slx(model(inner, [("in", "k"), ("k", "out")]), tmp_path / "inner.slx")
+    control = '<P Name="VariantControl">MODE == 3</P><P Name="ModelNameDialog">inner</P>'
+    choices += f'<Block BlockType="ModelReference" Name="choice 3" SID="13">{control}</Block>'
     ports = '<Block BlockType="Inport" Name="in" SID="21"/><Block BlockType="Outport" Name="out" SID="22"/>'
     variant = f'<P Name="Variant">on</P><P Name="Ports">[1, 1]</P><System>{ports}{choices}</System>'
     files = model(
@@ -142,8 +146,8 @@ def test_a_variant_is_its_active_choice(tmp_path: Path) -> None:
     chart = '<chart id="9"><P Name="name">gain/choice 2/k</P><Children><state SSID="1">{}</state></Children></chart>'
     files["simulink/stateflow/chart_9.xml"] = chart.format(code)
     read = read_model(slx(files, tmp_path / "m.slx"))
-    for mode, factor in ((1, 3.0), (2, 5.0)):
-        found = import_system(read, "", {"MODE": np.array([[float(mode)]])}, dt=DT)
+    for mode, factor in ((1, 3.0), (2, 5.0), (3, 7.0)):
+        found = import_system(read, "", {"MODE": np.array([[float(mode)]])}, [tmp_path], DT)
         assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], factor * DRAWN[0])
     (refused,) = [line for line in import_system(read, dt=DT).refused if line.path == "gain"]
     assert "MODE has no value" in refused.why

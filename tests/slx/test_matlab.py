@@ -235,3 +235,26 @@ def test_a_third_dimension_is_skipped_with_its_line() -> None:
     (skipped,) = run("a = 1;\nA(1, 2, 3) = 4;\nb = 2;", names)
     assert (skipped.line, sorted(names)) == (2, ["a", "b"])
     assert "two dimensions" in skipped.why
+
+
+def test_a_script_designs_gains_and_keeps_the_fields_that_it_knows() -> None:
+    names: dict[str, Value] = {}
+    code = """A = [0 1; 2 -3]; B = [0; 4]; Q = diag([2 1]); R = .5; p.m = 3;
+    [K, S] = lqr(A, B, Q, R); [N, T] = lqr(A, B, Q, R, [.1; .2]); p.k = unknown(A); p.n = 4;
+    L = dlqr(eye(2) + .1 * A, .1 * B, Q, R); P = place(A, B, [-3 -5]);"""
+    assert [one.why for one in run(code, names)] == ["unknown is not computed"]
+    a, b, q, r = np.array([[0.0, 1.0], [2.0, -3.0]]), np.array([[0.0], [4.0]]), np.diag([2.0, 1.0]), 0.5
+    k, s = names["K"], names["S"]
+    assert np.allclose(a.T @ s + s @ a - s @ b @ b.T @ s / r + q, 0.0, atol=1e-9)  # its Riccati equation
+    assert np.allclose(k, b.T @ s / r, rtol=1e-12, atol=0.0)
+    k, s = names["N"], names["T"]
+    both = s @ b + [[0.1], [0.2]]
+    assert np.allclose(a.T @ s + s @ a - both @ both.T / r + q, 0.0, atol=1e-9)
+    assert np.allclose(k, both.T / r, rtol=1e-12, atol=0.0)
+    closed, cost = np.eye(2) + 0.1 * (a - b @ names["L"]), np.zeros((2, 2))
+    for _ in range(5000):  # the cost that the gain leads to
+        cost = q + names["L"].T @ names["L"] * r + closed.T @ cost @ closed
+    least = np.linalg.solve(r + 0.01 * b.T @ cost @ b, 0.1 * b.T @ cost @ (np.eye(2) + 0.1 * a))
+    assert np.allclose(names["L"], least, rtol=1e-9, atol=0.0)  # no other gain of one step costs less
+    assert np.allclose(np.sort(np.linalg.eigvals(a - b @ names["P"])), [-5.0, -3.0], rtol=1e-12, atol=0.0)
+    assert {name: float(value[0, 0]) for name, value in names["p"].items()} == {"m": 3.0, "n": 4.0}

@@ -10,13 +10,15 @@ import operator
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
+from twodof.blocks.elementary.functions import log, trunc
 from twodof.blocks.elementwise import port_series
-from twodof.blocks.expressions.expr import convert, where
+from twodof.blocks.expressions.expr import convert, sqrt, where
 from twodof.blocks.expressions.numbers import KINDS, STORED
 from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.blocks.library import (
@@ -48,7 +50,7 @@ from twodof.blocks.library import (
 )
 from twodof.blocks.library.logic import COMPARISONS
 from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
-from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, formula
+from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, Formula, formula
 from twodof.slx.conditions import CONDITION_RULES
 from twodof.slx.data_types import BUS_RULES, kind_of, signal_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
@@ -246,7 +248,7 @@ def _function(c: Asked) -> Made:
     name = c.text("Operator", c.text("Function", next(iter(functions))))
     if name not in functions:
         raise NotTranslated(f"Operator = {name!r} is not translated")
-    if c.block.type == "Trigonometry" or name in ("pow", "mod", "hypot"):
+    if c.block.type == "Trigonometry" or name in ("pow", "mod", "rem", "hypot", "log10"):
         c.notes.append(f"{name} is the language's own: within 2.5 units in the last place of the C library's")
     if name != "sincos":
         return same(c, functions[name](width=c.width))
@@ -257,13 +259,29 @@ def _function(c: Asked) -> Made:
     return Made(d, [Signal("real", c.width)] * 2)
 
 
+def _formula(of: Callable[..., Any], width: int | None, count: int = 1) -> Item:
+    return Formula(of, [Signal("real", width)] * count, Signal("real", width))
+
+
 _ANGLES = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh")
 _ELEMENTARY = {name: partial(Elementary, name) for name in ("exp", "log", "square", "reciprocal", "sqrt")}
 _ROUNDED = {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}
 FUNCTIONS: dict[str, dict[str, Callable[..., Item]]] = {
-    "Math": {**_ELEMENTARY, "magnitude^2": _ELEMENTARY["square"], "pow": Power, "mod": Remainder, "hypot": Hypot},
+    "Math": {
+        **_ELEMENTARY,
+        "magnitude^2": _ELEMENTARY["square"],
+        "pow": Power,
+        "mod": Remainder,
+        "hypot": Hypot,
+        "log10": partial(_formula, lambda t, u: log(u) / math.log(10.0)),
+        "rem": partial(_formula, lambda t, u, v: where(v == 0.0, u, u - trunc(u / v) * v), count=2),
+    },
     "Rounding": {name: partial(Rounding, mode) for name, mode in _ROUNDED.items()},
-    "Sqrt": {"sqrt": _ELEMENTARY["sqrt"]},
+    "Sqrt": {
+        "sqrt": _ELEMENTARY["sqrt"],
+        "signedSqrt": partial(_formula, lambda t, u: where(u < 0.0, -sqrt(abs(u)), sqrt(abs(u)))),
+        "rSqrt": partial(_formula, lambda t, u: 1.0 / sqrt(u)),
+    },
     "Trigonometry": {
         **{one: partial(Trigonometry, one) for one in _ANGLES},
         "atan2": Atan2Block,
@@ -342,7 +360,18 @@ TAKES_BUSES = (
 )
 TAKES_SMALL = (
     *(*TAKES_BUSES, *ARITHMETIC_RULES, "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
-    *("Assignment", "DiscreteIntegrator", "Gain", "Logic", "Product", "Reshape", "Sum", "SwitchCase", "UnaryMinus"),
+    *(
+        "Assignment",
+        "DiscreteIntegrator",
+        "Gain",
+        "Logic",
+        "Lookup_n-D",
+        "Product",
+        "Reshape",
+        "Sum",
+        "SwitchCase",
+        "UnaryMinus",
+    ),
 )
 """Types that take integers of 8 and 16 bits."""
 TAKES_MATRICES = ("BusAssignment", "BusCreator", "DiscreteIntegrator", "Integrator", *MATRIX_LINES, *DROPPED)

@@ -37,6 +37,7 @@ from twodof.slx.translation import (
     Signal,
     each,
     expanded,
+    names_of,
     passes,
     row,
     widest,
@@ -448,10 +449,16 @@ def _table(c: Asked, points: list[list[float]], table: list[float], method: str,
         raise NotTranslated("Table and breakpoints differ in size, or have one point")
     if any(sorted(set(one)) != one for one in points):
         raise NotTranslated("breakpoints do not increase")
-    c.kind("real")
-    if c.width is None:
-        return Made(LookupTable(points, [float(v) for v in table], method, clip, *even), [Signal()])
-    raise NotTranslated("a table of a vector is not translated")
+    if c.width is not None:
+        raise NotTranslated("a table of a vector is not translated")
+    d, block = Diagram("table"), LookupTable(points, [float(v) for v in table], method, clip, *even)
+    if all(one.kind == "real" for one in c.inputs):
+        return Made(block, [Signal()])
+    if c.inputs[0].kind != "real" and c.text("OutDataTypeStr", "Inherit: Same as first input") != "double":
+        raise NotTranslated(f"a table of {c.inputs[0]} whose output is not double is not translated")
+    sources = [expanded(d, d.input(f"u{k}", one.kind), one, None, "real") for k, one in enumerate(c.inputs, start=1)]
+    d.output("y", d.add("y", block, inputs=dict(zip(names_of(block), sources, strict=True))))
+    return Made(d, [Signal()], expand=False)
 
 
 def _expression(c: Asked) -> Made:

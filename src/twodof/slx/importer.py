@@ -238,7 +238,7 @@ class _Import(Wiring):
             inside = f"{below(at, choice)}/"  # its code stands in place of the variant's
             own = [path for path in self.code if path.startswith(inside)]
             self.code |= {f"{at}/{path.removeprefix(inside)}": self.code[path] for path in own}
-            return choice.system, choice
+            return self._body(self._linked(choice, at), names, at)
         if block.type == "SubSystem" and (file := block.values.get("ReferencedSubsystem", "")):
             self._take_code(file, "", at)
             return self._file(file).root, block
@@ -305,7 +305,7 @@ class _Import(Wiring):
                     raise NotTranslated(f"condition of the choice {collapsed(one.name)}: {reason.what}") from None
             active += [one] * held
         active = active or [one for one in choices if one.values.get("VariantControl") == "(default)"]
-        if len(active) != 1 or active[0].type != "SubSystem":
+        if len(active) != 1 or active[0].type not in ("SubSystem", "Reference", "ModelReference"):
             raise NotTranslated(
                 f"{len(active)} choices of the variant are active: give their conditions' names by --workspace"
             )

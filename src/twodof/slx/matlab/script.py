@@ -7,8 +7,9 @@ is not computed is skipped and said by its line, and what it would have assigned
 
 import io
 import re
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from twodof.flightlog import fence
 from twodof.flightlog.fence import Answer
 from twodof.slx.matlab.evaluation import SILENT, Evaluation, assigned_by, next_statement, script_text
 from twodof.slx.matlab.program import EMPTY, Code, NotTranslatedLine, Program
-from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value
+from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value, as_array, bounded
 
 DEEPEST_SCRIPTS = 5
 _HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
@@ -86,6 +87,12 @@ class RunningScript(Program):
                 self.skipped.append(Skipped(self.here.line, f"{name} gives a fixed draw"))
             shape = FUNCTIONS["zeros"](*arguments).shape
             return self.random.random(shape) if name == "rand" else self.random.standard_normal(shape)
+        if name in _DESIGNS:
+            try:
+                found = _DESIGNS[name](*map(as_array, arguments))
+            except (TypeError, ValueError, np.linalg.LinAlgError) as reason:
+                raise NotComputed(f"{name}: {reason}") from None
+            return bounded(found[0]) if count == 1 else [bounded(one) for one in found[:count]]
         if name == "assignin" and len(arguments) == 3 and arguments[0] == "base":
             self.base[arguments[1]] = arguments[2]
         elif name == "Simulink.Bus.cellToObject" and arguments:
@@ -93,6 +100,35 @@ class RunningScript(Program):
         else:
             return super().called(name, arguments, bracket, count)
         return EMPTY
+
+
+def _regulator(discrete: bool, a: Array, b: Array, q: Array, r: Array, n: Array | None = None) -> list[Array]:
+    """Return the gain of a linear quadratic regulator, its cost matrix and its poles; n weighs states with inputs."""
+    from scipy.linalg import solve_continuous_are, solve_discrete_are  # imported late, as in the fence
+
+    n = np.zeros(b.shape) if n is None else n
+    cost = (solve_discrete_are if discrete else solve_continuous_are)(a, b, q, r, s=n)
+    weight, ahead = (r + b.T @ cost @ b, a) if discrete else (r, np.eye(len(a)))
+    gain = np.linalg.solve(weight, b.T @ cost @ ahead + n.T)
+    return [gain, cost, np.linalg.eigvals(a - b @ gain)[:, None]]
+
+
+def _placed(a: Array, b: Array, poles: Array) -> list[Array]:
+    """Return the gain that gives a system with one input these poles, by Ackermann's formula."""
+    if b.shape != (len(a), 1) or poles.size != len(a):
+        raise ValueError("of one input and as many poles as states only")
+    reached = np.hstack([np.linalg.matrix_power(a, k) @ b for k in range(len(a))])
+    wanted = sum(v * np.linalg.matrix_power(a, len(a) - k) for k, v in enumerate(np.poly(poles.flatten())))
+    return [np.linalg.solve(reached.T, np.eye(len(a))[:, -1:]).T @ wanted]
+
+
+_DESIGNS: dict[str, Callable[..., list[Array]]] = {
+    "lqr": partial(_regulator, False),
+    "dlqr": partial(_regulator, True),
+    "acker": _placed,
+    "place": _placed,
+}
+"""Functions of Control System Toolbox that give gains."""
 
 
 def _buses(cells: Value) -> dict[str, Value]:
@@ -139,7 +175,12 @@ def run(
         except NotComputed as reason:
             end = program.blocks[start][-1] if start in program.blocks else start
             parser.at, parser.depth, parser.matrix, evaluation.ends = next_statement(tokens, end), 0, False, []
-            for name in assigned_by(tokens[start : parser.at]):
+            names, field = assigned_by(tokens[start : parser.at]), tokens[start + 2].text if tokens[start + 1 :] else ""
+            if start not in program.blocks and names == {tokens[start].text} and tokens[start + 1].text == ".":
+                if isinstance(held := own.get(tokens[start].text), dict):  # the other fields are known
+                    own[tokens[start].text] = {name: value for name, value in held.items() if name != field}
+                names = set()
+            for name in names:
                 own.pop(name, None)
             if tokens[start].text not in SILENT:
                 within = re.match(r"line (\d+): (.*)", str(reason), re.DOTALL)

@@ -522,6 +522,7 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "sqrt": _each(_float(sqrt)), "abs": _each(_absolute), "sign": _each(_arithmetic(_sign)),
     "floor": _each(_rounded(functions.floor)), "ceil": _each(_rounded(functions.ceil)),
     "fix": _each(_rounded(functions.trunc)), "round": _each(_rounded(functions.round_half_away)),
+    "sinc": _each(_float(lambda x: where(x == 0.0, 1.0, functions.sin(math.pi * x) / (math.pi * x)))),
     "sinh": _each(_float(lambda x: (functions.exp(x) - functions.exp(-x)) / 2.0)),
     "cosh": _each(_float(lambda x: (functions.exp(x) + functions.exp(-x)) / 2.0)),
     "sec": _each(_float(lambda x: 1.0 / functions.cos(x))), "csc": _each(_float(lambda x: 1.0 / functions.sin(x))),

@@ -537,7 +537,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "false": lambda *s: _filled(0.0)(*s).astype(bool), "realmax": _constant(float(np.finfo(float).max)),
     "realmin": _constant(float(np.finfo(float).tiny)), "diag": _diag, "size": _size, "linspace": _linspace,
     **{name: _each(getattr(np, name)) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor", "ceil",
-       "sign", "hypot")},
+       "sign", "hypot", "sinc")},
     "log2": _real(np.log2, 0.0), "log10": _real(np.log10, 0.0),
     "abs": _each(np.abs), "sqrt": _real(np.sqrt, 0.0), "log": _real(np.log, 0.0), "asin": _real(np.arcsin, -1.0, 1.0),
     "acos": _real(np.arccos, -1.0, 1.0), "atan": _each(np.arctan), "atan2": _each(np.arctan2), "fix": _each(np.trunc),
