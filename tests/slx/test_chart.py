@@ -334,6 +334,7 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
             "the Simulink function f(x)",
         ),
         (way(1, None, 2) + state(2, "A", data("log", "LOCAL")), "", "the name log stands for two things"),
+        (way(1, None, 2) + state(2, "A") + data("ms", "LOCAL", "uint64"), "", "ms of type uint64 is not translated"),
         (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "[u > 0]") + way(4, 2, 2), "", "the order of the transitions"),
         (
             way(1, None, 2) + state(2, "A\nentry: log = double(int8(u) + 1);"),

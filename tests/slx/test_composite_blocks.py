@@ -422,6 +422,11 @@ def test_a_switch_compares_a_boolean_as_0_or_1_and_takes_a_boolean_beside_a_doub
     assert np.array_equal(run(found, [DRAWN[0], on, other]), np.where(taken(on), DRAWN[0], other.astype(float)))
 
 
+def test_a_switch_without_its_three_inputs_is_refused(tmp_path: Path) -> None:
+    (refused,) = one_block(tmp_path, "Switch", {}, ()).refused
+    assert refused.why == "it has 0 inputs; a Switch has 3"
+
+
 # --- blocks of toolboxes
 
 

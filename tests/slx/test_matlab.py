@@ -230,6 +230,15 @@ def test_what_is_not_computed_leaves_nothing_behind() -> None:
     assert "d" not in names
 
 
+@pytest.mark.parametrize(
+    "code", ["a = 1;\nwhos", "s.a = 2; s.b.c = nothing", "m = [1, 2; 3 4]';\nif m(1) > 0, b = {'t'}; end"]
+)
+def test_a_script_that_is_cut_anywhere_raises_nothing(code: str) -> None:
+    for end in range(len(code) + 1):
+        run(code[:end], names := {})
+        assert set(names) <= {"a", "s", "m", "b", "ans"}
+
+
 def test_a_third_dimension_is_skipped_with_its_line() -> None:
     names: dict[str, Value] = {}
     (skipped,) = run("a = 1;\nA(1, 2, 3) = 4;\nb = 2;", names)

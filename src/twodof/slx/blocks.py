@@ -207,6 +207,8 @@ def _selector(c: Asked) -> Made:
 
 def _switch(c: Asked) -> Made:
     """Compute the criterion of the second input beside the choice between the first and the third."""
+    if len(c.inputs) != 3:
+        raise NotTranslated(f"it has {len(c.inputs)} inputs; a Switch has 3")
     first, control, third = c.inputs
     if isinstance(control.kind, Bus):
         raise NotTranslated(f"its control is {control}")

@@ -73,7 +73,7 @@ def test_every_problem_is_named_with_its_whole_path() -> None:
         ("sub.loose.u", "not connected"),
         ("sub.w", "not connected"),
         ("sub.wide.u", "real[2]"),
-        ("sub.count.k", "another type"),
+        ("sub.count.k", "that is bound to it is"),
         ("outer", "algebraic loop sub.p.y <- sub.q.y <- sub.p.y"),
         ("sub", "not a bool"),
         ("outer", "algebraic loop a.y <- b.y <- a.y"),

@@ -175,8 +175,9 @@ def run(
         except NotComputed as reason:
             end = program.blocks[start][-1] if start in program.blocks else start
             parser.at, parser.depth, parser.matrix, evaluation.ends = next_statement(tokens, end), 0, False, []
-            names, field = assigned_by(tokens[start : parser.at]), tokens[start + 2].text if tokens[start + 1 :] else ""
-            if start not in program.blocks and names == {tokens[start].text} and tokens[start + 1].text == ".":
+            names, texts = assigned_by(tokens[start : parser.at]), [one.text for one in tokens[start : start + 3]]
+            if start not in program.blocks and names == {texts[0]} and texts[1:2] == ["."]:
+                field = texts[-1]
                 if isinstance(held := own.get(tokens[start].text), dict):  # the other fields are known
                     own[tokens[start].text] = {name: value for name, value in held.items() if name != field}
                 names = set()
