@@ -49,7 +49,7 @@ MOST_BODY = 256 << 10
 MOST_KEYS, MOST_ITEMS = 256, 20_000
 """Most members of an object and of an array in a request's JSON: each wrong one takes .1 ms."""
 STOP = "/kill"
-"""End of the path of the request that stops motors, which waits for no turn."""
+"""End of the path of the request that stops motors, which waits for no other requests than such of watchers."""
 MOST_DISCARDED, DISCARD_S = 64 << 20, 5.0
 """Bytes of a refused request that are read before it is answered, and the longest time [s]."""
 _BEARER = "bearer "
@@ -118,16 +118,13 @@ def takes(most: int) -> Any:
 class _BoundedRequest(Request):
     async def json(self) -> Any:
         """Return the body's JSON. Raises Refused for too many members, ValueError."""
-        found = from_json(await self.body())
-        waiting = [found]
+        waiting = [found := from_json(await self.body())]
         while waiting:
             one = waiting.pop()
-            if not isinstance(one, dict | list):
-                continue
-            most = MOST_KEYS if isinstance(one, dict) else MOST_ITEMS
-            if len(one) > most:
-                raise Refused(413, f"an object or array has more than {most} members", "send fewer")
-            waiting += one.values() if isinstance(one, dict) else one
+            if isinstance(one, dict | list):
+                if len(one) > (most := MOST_KEYS if isinstance(one, dict) else MOST_ITEMS):
+                    raise Refused(413, f"an object or array has more than {most} members", "send fewer")
+                waiting += one.values() if isinstance(one, dict) else one
         return found
 
 
@@ -195,12 +192,12 @@ def lab_routes(routers: Sequence[APIRouter]) -> list[LabRoute]:
 class Gate:
     """Middleware that checks host, origin and token of every request and web socket, in this order.
 
-    Requests of clients that may not command begin in turns, except the one that stops motors.
+    Requests of clients that may not command begin in turns; those that stop motors have turns of their own.
     """
 
     def __init__(self, app: ASGIApp, settings: LabSettings) -> None:
         self._app, self._settings = app, settings
-        self._paces = {None: Pace(), Role.WATCH: Pace()}
+        self._paces, self._stops = {None: Pace(), Role.WATCH: Pace()}, {Role.WATCH: Pace()}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, web socket or the server's life span."""
@@ -217,8 +214,8 @@ class Gate:
         with suppress(ClientDisconnect):
             if refusal is not None and scope["type"] == "http":
                 await _discard(receive)
-            if refusal is None and scope["path"].endswith(STOP):
-                pace = None
+            if refusal is None and role is not None and scope["path"].endswith(STOP):
+                pace = self._stops.get(role)
             if pace is not None:
                 await pace.turn(address)
             if scope["type"] == "http":

@@ -118,10 +118,7 @@ def code(text: str, precision: str) -> dict[str, Any]:
     """Return the C of a diagram at 250 Hz, line by line with the block of each."""
     emitted = emit_program(from_json(text), PERIOD, precision)
     found = source_map(emitted)
-    return {
-        "lines": [[line.text, line.block, line.part] for line in found.lines],
-        "left_out": list(found.left_out),
-    }
+    return {"lines": [[line.text, line.block, line.part] for line in found.lines], "left_out": list(found.left_out)}
 
 
 def template(text: str) -> str:

@@ -8,6 +8,7 @@ import os
 import socket
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, closing, contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 import uvicorn
@@ -32,12 +33,13 @@ _MISSING = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>twodof: the page is not built</title>
 <body style="font: 1rem/1.5 system-ui; max-width: 40rem; margin: 3rem auto; padding: 0 1rem">
 <h1>The page is not built</h1>
-<p>The server runs, and its API answers; <a href="api/openapi.json">this</a> describes it.
-What is missing is the page in front of it.</p>
+<p>The server runs, and its API answers; <a href="api/openapi.json">this</a> describes it.</p>
 <p>Run <code>make web</code> in the folder of twodof, then load this page again.</p>
 </body></html>
 """
 READS = ("GET", "HEAD")
+LONGEST_PATH = 200
+"""Most characters of a path of the page: each of its folders is looked for."""
 _FOR_EVER = "public, max-age=31536000, immutable"
 
 
@@ -65,6 +67,8 @@ def serve_page(app: FastAPI, folder: Path) -> None:
             routes = [one for one in lab_routes(ROUTERS) if one.matches(scope)[0] is not Match.NONE]
             methods = sorted({method for route in routes for method in route.methods or ()})
             raise HTTPException(405, headers={"Allow": ", ".join(methods)}) if methods else HTTPException(404)
+        if scope["type"] == "http" and len(scope["path"]) > LONGEST_PATH:
+            raise HTTPException(404)
         if scope["type"] == "http" and not (folder / "index.html").is_file():
             await HTMLResponse(_MISSING, 503 if scope["path"] == "/" else 404)(scope, receive, send)
             return
@@ -108,7 +112,7 @@ def create_app(settings: LabSettings) -> FastAPI:
         version=__version__,
         description=_ABOUT,
         lifespan=life,
-        openapi_url="/api/openapi.json",
+        openapi_url=None,  # it would be written anew for each request, and the first one takes most of a second
         docs_url=None,
         redoc_url=None,
         default_response_class=answers.FiniteJSON,
@@ -119,6 +123,13 @@ def create_app(settings: LabSettings) -> FastAPI:
     app.state.lab = lab
     for router in ROUTERS:
         app.include_router(router)
+    described, description = asyncio.Lock(), lru_cache(lambda: answers.dumps(app.openapi()))
+
+    @app.get(f"{API}openapi.json", include_in_schema=False)
+    async def openapi() -> Response:
+        async with described:
+            return Response(await asyncio.to_thread(description), media_type="application/json")
+
     answers.install(app)
     serve_page(app, settings.page)
     app.add_middleware(Gate, settings=settings)

@@ -7,7 +7,6 @@ import secrets
 import socket
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from twodof.errors import LinkError
 
@@ -68,20 +67,13 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-class Tokens(NamedTuple):
-    """Tokens for commanding and for watching; "" for none."""
-
-    command: str
-    watch: str
-
-
-def drawn_tokens(host: str, command: str = "", watch: str = "", always: bool = False) -> Tokens:
+def drawn_tokens(host: str, command: str = "", watch: str = "", always: bool = False) -> tuple[str, str]:
     """Return a server's tokens: one to watch and, if `host` needs it or `always`, one to command.
 
     Tokens that are not given are drawn at random and stored nowhere.
     """
     needed = secrets.token_urlsafe(24) if always or not is_loopback(host) else ""
-    return Tokens(command or needed, watch or secrets.token_urlsafe(24))
+    return command or needed, watch or secrets.token_urlsafe(24)
 
 
 def links(settings: LabSettings, port: int) -> dict[str, str]:

@@ -78,19 +78,19 @@ class Turns:
         return found
 
 
-TURN_S = 0.05
+TURN_S = 0.0125
 """Time that a turn in the event loop counts [s]; the work itself takes a few milliseconds."""
 TURN_BYTES = 64 * 1024
 """Bytes for which a turn counts twice as long."""
-EVENT_LOOP_TURNS = 8
-MOST_PACED = 10_000
+EVENT_LOOP_TURNS = 2
+"""Turns at once: few, because all of them may begin between two steps of what waits for no turn."""
 
 
 class Pace:
     """Share of one role in the event loop: pieces of work begin in turns, `EVENT_LOOP_TURNS` in each `TURN_S`."""
 
     def __init__(self) -> None:
-        self._turns = Turns(EVENT_LOOP_TURNS, MOST_PACED, "server")
+        self._turns = Turns(EVENT_LOOP_TURNS, 10_000, "server")
 
     async def turn(self, person: str, size: int = 0) -> None:
         """Wait until a piece of work about `size` bytes may begin."""

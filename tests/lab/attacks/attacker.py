@@ -8,9 +8,11 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import random
 import sys
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
+from itertools import repeat
 from typing import Any
 
 from websockets.asyncio.client import connect
@@ -259,6 +261,91 @@ async def messages_in_pieces(port: int) -> None:
                 await client.send([*['{"do":'], *[" "] * 2000, '"here"}'])
 
     await _all(16, one)
+
+
+def bytes_sent(count: int, made: Callable[[int], bytes], half_closed: bool = False) -> Attack:
+    """Connections that send these bytes for a port, and read until the server closes them."""
+
+    async def one(port: int) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        try:
+            writer.write(made(port))
+            if half_closed:
+                writer.write_eof()
+            while await reader.read(1 << 16):
+                pass
+        finally:
+            writer.close()
+
+    async def run(port: int) -> None:
+        await _all(count, lambda _: one(port))
+
+    return run
+
+
+def frames(count: int, *pieces: bytes, then: float = 1e6) -> Attack:
+    """Web sockets that send these bytes; the last of them again and again, `then` apart [s]."""
+    key = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    key += "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+
+    async def one(port: int) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+
+        async def write() -> None:
+            for piece in (*pieces, *repeat(pieces[-1])):
+                writer.write(piece)
+                await writer.drain()
+                await asyncio.sleep(then)
+
+        writer.write(head("GET", "/api/telemetry", port)[:-2] + key.encode())
+        writing = asyncio.create_task(write())
+        try:
+            while await reader.read(1 << 16):
+                pass
+        finally:
+            writing.cancel()
+            writer.transport.abort()
+
+    async def run(port: int) -> None:
+        await _all(count, lambda _: one(port))
+
+    return run
+
+
+def headed(rows: str, path: str = "/api/drones") -> Callable[[int], bytes]:
+    return lambda port: head("GET", path, port)[:-2] + rows.encode() + b"\r\n"
+
+
+MASKED = b"\0\0\0\0"
+ATTACKS["paths_that_end_as_a_kill"] = flood(64, "GET", f"/{'a/' * 3000}kill", token="")
+ATTACKS["kills_of_no_drone"] = flood(32, "POST", "/api/drones/99/kill")
+ATTACKS["pipelined_kills"] = bytes_sent(16, lambda port: head("POST", "/api/drones/99/kill", port) * 500)
+ATTACKS["descriptions"] = flood(32, "GET", "/api/openapi.json")
+ATTACKS["many_headers"] = bytes_sent(64, headed("".join(f"X-{k}: {k}\r\n" for k in range(1200))))
+ATTACKS["many_cookies"] = bytes_sent(64, headed("".join(f"Cookie: a{k}=b\r\n" for k in range(900))))
+ATTACKS["many_ranges"] = bytes_sent(
+    64, headed(f"Range: bytes={','.join(f'{k}-{k}' for k in range(0, 2400, 2))}\r\n", "/")
+)
+ATTACKS["http_2"] = bytes_sent(200, lambda _: b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(9000))
+ATTACKS["half_closed_connections"] = bytes_sent(200, headed(""), half_closed=True)
+ATTACKS["encoded_dots"] = bytes_sent(64, headed("", "/" + "%2e%2e%2f" * 1500))
+ATTACKS["frames_never_ended"] = frames(16, b"\x01\x81" + MASKED + b"{", b"\0\x81" + MASKED + b" ", then=0.0)
+ATTACKS["fragmented_pings"] = frames(32, b"\x09\x81" + MASKED + b"p", then=0.01)
+ATTACKS["sockets_that_close_and_stay"] = frames(200, b"\x88\x82" + MASKED + b"\x03\xe8")
+
+
+@attack
+async def compilations_cut_off(port: int) -> None:
+    text, chance = to_json(starter("pid-attitude")), random.Random(1)
+
+    async def one(number: int) -> None:
+        body = json.dumps({"text": text.replace("pid", f"c{number}", 1), "rig": "lab"}).encode()
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(head("POST", "/api/diagrams/compile", port, len(body)) + body)
+        await asyncio.sleep(chance.uniform(0.01, 1.0))
+        writer.transport.abort()
+
+    await _all(24, one)
 
 
 async def main(name: str, port: int) -> None:

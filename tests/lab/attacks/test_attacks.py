@@ -24,7 +24,7 @@ from tests.patience import patiently
 from twodof.lab.settings import COMMAND_TOKEN, WATCH_TOKEN
 
 pytestmark = pytest.mark.slow
-QUICK = {"idle_connections", "many_harmonics", "many_streams", "compilations"}
+QUICK = {"idle_connections", "many_harmonics", "many_streams", "compilations", "paths_that_end_as_a_kill"}
 PYTHON = sys.executable
 SAMPLES, MOST_S = 50, 0.3
 

@@ -145,8 +145,15 @@ class FlightController:
             hardware.release()
         if self.code.user_fault != self._fault:
             self._fault = self.code.user_fault
-            if self._fault:
-                self.remarks.append((MavSeverity.CRITICAL, f"controller stopped: {self._fault}"))
+            if self._fault and step.armed:
+                what = "controller stopped, the stock one levels the drone"
+                self.remarks.append((MavSeverity.CRITICAL, f"{what}: {self._fault}"))
+            elif self._fault:
+                pauses = self.code.sandbox is not None and self.code.sandbox.rests
+                what = (
+                    "controller paused on the ground, it is tried again by itself" if pauses else "controller stopped"
+                )
+                self.remarks.append((MavSeverity.WARNING, f"{what}: {self._fault}"))
         self.commander.seen(step)
         self.bus.publish(step)
         return step

@@ -20,6 +20,7 @@ BUDGET_NS = 2_000_000
 
 PAUSE, LONGEST_PAUSE = 250, 4000
 """Ticks on the ground until a controller that was too slow is tried again; doubled each time, up to the second."""
+REMEDY = "If it comes once, the computer was busy: end other programs. If it comes again, simplify the diagram"
 GOOD = 1000
 """Steps in time, in a row, after which the pause starts at `PAUSE` again."""
 
@@ -150,7 +151,7 @@ class Sandbox:
         return False, *commands
 
     def _overran(self, used: int) -> None:
-        took = f"{self.name} took {used * 1e-6:.1f} ms of the processor for a step"
-        self.fault = self.fault or f"{took}, at most {BUDGET_NS * 1e-6:g} ms are allowed"
+        took = f"a step of {self.name} took {used * 1e-6:.1f} ms, more than the allowed {BUDGET_NS * 1e-6:g} ms"
+        self.fault = self.fault or f"{took}. {REMEDY}"
         self._good = 0
         self._pause = self._rest = min(max(PAUSE, 2 * self._pause), LONGEST_PAUSE)
