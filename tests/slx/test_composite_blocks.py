@@ -262,15 +262,25 @@ def test_a_table_of_signals_is_looked_up(tmp_path: Path, method: str, wanted: Wa
         ("Sqrt", "signedSqrt", lambda u: np.sign(u) * np.sqrt(abs(u))),
         ("Sqrt", "rSqrt", lambda u: 1.0 / np.sqrt(u)),
         ("Math", "log10", np.log10),
-        ("Math", "rem", np.fmod),
         ("MATLABFcn", "sinc", np.sinc),
     ],
 )
 def test_functions_of_numbers_are_numpys(tmp_path: Path, kind: str, name: str, wanted: Wanted) -> None:
-    given = [DRAWN[0], np.where(abs(DRAWN[1]) < 0.1, 1.0, DRAWN[1])][: 2 if name == "rem" else 1]
-    given = given if name in ("signedSqrt", "rem") else [abs(given[0]) + 0.1]
-    found = run(one_block(tmp_path, kind, {"Operator": name, "MATLABFcn": name}, ("double",) * len(given)), given)
-    assert np.allclose(found, wanted(*given), rtol=1e-14, atol=1e-14)
+    given = DRAWN[0] if name == "signedSqrt" else abs(DRAWN[0]) + 0.1
+    found = run(one_block(tmp_path, kind, {"Operator": name, "MATLABFcn": name}, ("double",)), [given])
+    assert np.allclose(found, wanted(given), rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.parametrize(("name", "at_0"), [("rem", np.nan), ("mod", 5.0)])
+def test_remainders_are_exact_and_say_what_simulink_says_of_0_and_infinity(
+    tmp_path: Path, name: str, at_0: float
+) -> None:
+    wanted = {"rem": np.fmod, "mod": np.mod}[name]  # numpy's mod rounds once more than C, none of these sums does
+    u, v = np.round(1e6 * DRAWN[0]) / 8.0, np.round(abs(DRAWN[1]) * 64.0 + 1.0) / 8.0
+    u[:3], v[:3] = [5.0, 5.0, np.inf], [0.0, np.inf, 2.0]
+    found = run(one_block(tmp_path, "Math", {"Operator": name}, ("double", "double")), [u, v])
+    assert np.array_equal(found[:3], [at_0, 5.0, np.nan], equal_nan=True)
+    assert np.array_equal(found[3:], wanted(u[3:], v[3:]))
 
 
 def test_a_truth_table_and_a_row_times_a_matrix(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
-from twodof.blocks.elementary.functions import log, trunc
+from twodof.blocks.elementary.functions import log
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.expressions.expr import convert, sqrt, where
 from twodof.blocks.expressions.numbers import KINDS, STORED
@@ -37,7 +37,6 @@ from twodof.blocks.library import (
     Mux,
     Power,
     Product,
-    Remainder,
     Reshape,
     Rounding,
     Selector,
@@ -54,6 +53,7 @@ from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, Formula, formula
 from twodof.slx.conditions import CONDITION_RULES
 from twodof.slx.data_types import BUS_RULES, kind_of, signal_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
+from twodof.slx.matlab.signals import mod, rem
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
 from twodof.slx.toolbox_blocks import TOOLBOX_RULES
 from twodof.slx.translation import (
@@ -250,7 +250,7 @@ def _function(c: Asked) -> Made:
     name = c.text("Operator", c.text("Function", next(iter(functions))))
     if name not in functions:
         raise NotTranslated(f"Operator = {name!r} is not translated")
-    if c.block.type == "Trigonometry" or name in ("pow", "mod", "rem", "hypot", "log10"):
+    if c.block.type == "Trigonometry" or name in ("pow", "hypot", "log10"):
         c.notes.append(f"{name} is the language's own: within 2.5 units in the last place of the C library's")
     if name != "sincos":
         return same(c, functions[name](width=c.width))
@@ -273,10 +273,10 @@ FUNCTIONS: dict[str, dict[str, Callable[..., Item]]] = {
         **_ELEMENTARY,
         "magnitude^2": _ELEMENTARY["square"],
         "pow": Power,
-        "mod": Remainder,
+        "mod": partial(_formula, lambda t, u, v: mod(u, v), count=2),
         "hypot": Hypot,
         "log10": partial(_formula, lambda t, u: log(u) / math.log(10.0)),
-        "rem": partial(_formula, lambda t, u, v: where(v == 0.0, u, u - trunc(u / v) * v), count=2),
+        "rem": partial(_formula, lambda t, u, v: rem(u, v), count=2),
     },
     "Rounding": {name: partial(Rounding, mode) for name, mode in _ROUNDED.items()},
     "Sqrt": {

@@ -511,7 +511,7 @@ class _Import(Wiring):
             size = found.shape[0] if name == "C" else found.size
             shape = found.shape if name != "C" and 1 not in found.shape else None
         if size == 1 and name != "C":
-            size = width_wanted(self.sheets, *key, self.code, self.folders)
+            size = width_wanted(self.sheets, *key, self.code, self.folders, hops=0)  # a scalar may meet vectors there
         queue, seen = [key], {key}
         for at in queue:
             for one in behind.get((*at, 1), ()):

@@ -100,12 +100,15 @@ def width_wanted(
     sid: str,
     code: Mapping[str, SimulinkChart],
     folders: Sequence[Path],
-    depth: int = 0,
+    hops: int = 10,
     output: int = 1,
 ) -> int:
-    """Return how many elements the blocks behind an output want; 1 where none says it. `code` are MATLAB Functions."""
+    """Return how many elements the blocks behind an output want; 1 where none says it. `code` are MATLAB Functions.
+
+    Behind at most `hops` blocks that are as wide as their inputs, if no scalar meets a vector there.
+    """
     most = 1
-    for at, pin, block in ends(sheets, path, Pin(sid, "out", output)) if depth < 10 else ():
+    for at, pin, block in ends(sheets, path, Pin(sid, "out", output)):
         wanted = 1
         if block.type == "Demux":
             said = block.values.get("Outputs", "4")
@@ -119,8 +122,8 @@ def width_wanted(
             with suppress(DiagramError, NotComputed):
                 found = as_array(number(evaluate(block.values.get(name, "1"), sheets[at].names, name)))
                 wanted = found.shape[0].bit_length() - 1 if name == "TruthTable" else found.shape[1]
-        elif block.type in KEEPS_WIDTH and pin.number in _data(sheets[at], pin, block):
-            wanted = width_wanted(sheets, at, pin.sid, code, folders, depth + 1)
+        elif block.type in KEEPS_WIDTH and hops and pin.number in _data(sheets[at], pin, block):
+            wanted = width_wanted(sheets, at, pin.sid, code, folders, hops - 1)
         elif block.kind == "MATLAB Function":
             one = code.get(below(at, block))
             wanted = 1 if one is None else last_index(one.text, pin.number, folders)

@@ -396,11 +396,13 @@ def _near_multiple(x: Any, y: Any) -> Any:
     return (y != functions.floor(y)) & (off <= float(np.finfo(float).eps) * ratio)
 
 
-def _rem(x: Any, y: Any) -> Any:
+def rem(x: Any, y: Any) -> Any:
+    """Return the exact remainder with the sign of x; NaN for y = 0. Source: Simulink, Math Function, rem."""
     return where(_near_multiple(x, y), 0.0, _remainder(x, y))
 
 
-def _mod(x: Any, y: Any) -> Any:
+def mod(x: Any, y: Any) -> Any:
+    """Return the remainder with the sign of y; x for y = 0. Source: Simulink, Math Function, mod."""
     left = _remainder(x, y)
     turned = where((left != 0.0) & ((x < 0.0) != (y < 0.0)), left + y, left)
     return where(y == 0.0, x, where(_near_multiple(x, y), 0.0, turned))
@@ -424,7 +426,7 @@ def _wrapped(x: Any, half: float, symmetric: bool) -> Any:
     """Return an angle from 0 to two halves; if symmetric, from -half to half. A bound keeps its sign."""
     if symmetric:
         return where(abs(x) > half, _wrapped(x + half, half, False) - half, x)
-    left = _mod(x, 2.0 * half)
+    left = mod(x, 2.0 * half)
     return where((left == 0.0) & (x > 0.0), 2.0 * half, left)
 
 
@@ -539,7 +541,7 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "dot": lambda a, b: _product(as_array(a).reshape(1, -1), as_array(b).reshape(-1, 1)),
     "trace": lambda a: _sum(np.diag(lifted(as_array(a)))[:, None]), "inv": lambda a: _solved(a, np.eye(len(a))),
     "any": _reduced(or_, lambda one: cast(one, "bool")), "all": _reduced(and_, lambda one: cast(one, "bool")),
-    "mod": _each(_arithmetic(_mod)), "rem": _each(_arithmetic(_rem)), "isnan": _each(_is_nan),
+    "mod": _each(_arithmetic(mod)), "rem": _each(_arithmetic(rem)), "isnan": _each(_is_nan),
     "isinf": _each(_float(lambda x: abs(x) == math.inf)), "isfinite": _each(_float(lambda x: abs(x) < math.inf)),
     "and": OPERATORS["&"], "or": OPERATORS["|"], "not": OPERATORS["~"], "mtimes": _product, "bitshift": _each(_shift),
     "times": OPERATORS[".*"], "power": OPERATORS[".^"], "plus": OPERATORS["+"], "minus": OPERATORS["-"],
