@@ -76,7 +76,7 @@ class LoopTransfer:
             (a, b, c, d), dt, delay = model.augmented(), model.dt, 0.0
         else:
             remedy = "give a LinearModel, LoopTransfer.from_control(system) for python-control, or estimate.linear(dt)"
-            raise _error(f"{type(model).__name__} {shown(model)} is not a linear model", remedy)
+            raise _error(f"{type(model).__name__} is not a linear model", remedy)
         i = _place(source, inputs, b.shape[1], "input")
         j = _place(source if to is None else to, outputs, c.shape[0], "output")
         sign = -1.0 if negate else 1.0
