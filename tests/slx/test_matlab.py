@@ -239,6 +239,20 @@ def test_a_script_that_is_cut_anywhere_raises_nothing(code: str) -> None:
         assert set(names) <= {"a", "s", "m", "b", "ans"}
 
 
+@pytest.mark.parametrize(
+    ("code", "why"),
+    [
+        ("A = eye(300); for k = 1:1e4, A = inv(A); end", "takes more than 50000 operations"),
+        ("A = eye(51); K = lqr(A, A, A, A);", "lqr of more than 50 states is not computed"),
+        ("for k = 1:101, K = lqr(1, 1, 1, 1); end", "takes more than 50000 operations"),
+    ],
+)
+def test_work_on_matrices_is_bounded(code: str, why: str) -> None:
+    names: dict[str, Value] = {}
+    assert [one.why for one in run(code, names)] == [why]
+    assert "K" not in names
+
+
 def test_a_third_dimension_is_skipped_with_its_line() -> None:
     names: dict[str, Value] = {}
     (skipped,) = run("a = 1;\nA(1, 2, 3) = 4;\nb = 2;", names)

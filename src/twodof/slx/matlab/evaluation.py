@@ -39,6 +39,8 @@ from twodof.slx.matlab.values import (
 )
 
 MOST_STEPS = 50_000
+PRODUCTS_A_STEP = 50_000
+"""Rows by columns by the fewer of both that a matrix may have to count as one operation: inv(m) takes about as many."""
 MOST_ON_SIGNALS = 200_000
 """Most operations on elements of signals: each becomes one of the program."""
 DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
@@ -199,9 +201,10 @@ class Evaluation:
         self.names.update({name: value for name, value in inner.names.items() if "." in name})
         return value, dict(inner.names)
 
-    def count(self) -> None:
-        """Count an operation. Raises NotComputed for one too many."""
-        self.steps += 1
+    def count(self, *values: Value, steps: int = 1) -> None:
+        """Count an operation on these values, one on a large matrix as many. Raises NotComputed for one too many."""
+        arrays = [one for one in values if isinstance(one, np.ndarray)]
+        self.steps += steps + sum(one.size * min(one.shape) for one in arrays) // PRODUCTS_A_STEP
         if self.steps > MOST_STEPS:
             raise NotComputed(f"takes more than {MOST_STEPS} operations")
 
@@ -535,6 +538,7 @@ class EvaluatingParser:
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Return what a function gives: for a `count` above 1 a list."""
+        self.evaluation.count(*arguments, steps=0)
         signals = count > 1 or any(map(is_signal, arguments)) or name not in FUNCTIONS
         if signals:
             self.evaluation.count_signals(_operations("*" if name == "mtimes" else name, arguments))
@@ -549,8 +553,8 @@ class EvaluatingParser:
 
     def apply(self, operator: str, left: Value, right: Value) -> Value:
         """Compute an operation of two values."""
-        self.evaluation.count()
         left, right = number(left), number(right)
+        self.evaluation.count(left, right)
         if isinstance(left, dict | list) or isinstance(right, dict | list):
             raise NotComputed(f"'{operator}' of a structure or a cell")
         a, b = as_array(left), as_array(right)

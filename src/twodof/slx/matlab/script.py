@@ -18,11 +18,13 @@ import numpy as np
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
 from twodof.flightlog.fence import Answer
-from twodof.slx.matlab.evaluation import SILENT, Evaluation, assigned_by, next_statement, script_text
+from twodof.slx.matlab.evaluation import MOST_STEPS, SILENT, Evaluation, assigned_by, next_statement, script_text
 from twodof.slx.matlab.program import EMPTY, Code, NotTranslatedLine, Program
 from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value, as_array, bounded
 
 DEEPEST_SCRIPTS = 5
+MOST_DESIGNS, MOST_DESIGNED = 100, 50
+"""How many gains a script designs, and of how many states: a Riccati equation of 50 takes a tenth of a second."""
 _HEAD = re.compile(r"(?:\s|%[^\n]*\n)*function\b[^\n]*\n")
 _NEXT_FUNCTION = re.compile(r"^function\b", re.MULTILINE)
 _FILE = re.compile(r"[\w-][\w. -]{0,100}\.(?:m|mat)")
@@ -88,6 +90,9 @@ class RunningScript(Program):
             shape = FUNCTIONS["zeros"](*arguments).shape
             return self.random.random(shape) if name == "rand" else self.random.standard_normal(shape)
         if name in _DESIGNS:
+            self.evaluation.count(steps=MOST_STEPS // MOST_DESIGNS)
+            if any(as_array(one).size > MOST_DESIGNED**2 for one in arguments):
+                raise NotComputed(f"{name} of more than {MOST_DESIGNED} states is not computed")
             try:
                 found = _DESIGNS[name](*map(as_array, arguments))
             except (TypeError, ValueError, np.linalg.LinAlgError) as reason:
