@@ -249,6 +249,12 @@ def test_outputs_and_next_states_share_their_terms() -> None:
         assert step.count(once) == 1, once
 
 
+def test_whole_numbers_that_are_known_are_not_computed() -> None:
+    source = emit_program(rig(), 0.001).source  # the counter of its random numbers is (tick, 0, 0, 0)
+    assert not re.search(r"\^ 0u|\b0u \^|\d{5,}u \* 0u", source)
+    assert not re.search(r"\((\w+) && \1\)", source)
+
+
 def test_a_users_text_cannot_leave_its_comment() -> None:
     hostile = Diagram("hostile", "*/ int main(void); /* ??/ \n #include")
     hostile.input("u", unit='"*/\\')

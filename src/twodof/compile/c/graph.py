@@ -77,7 +77,7 @@ class ProgramGraph:
         if item.op == "dt":
             seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
             return make("const", item.kind, (), seconds)
-        return make(item.op, item.kind, tuple(args), item.data, item.width)
+        return _folded(item, tuple(args))
 
 
 def written_out(loop: Expr, own: Callable[[Expr], Expr]) -> Expr:
@@ -124,9 +124,15 @@ def _round(
 
 
 def _folded(item: Expr, args: tuple[Expr, ...]) -> Expr:
-    """Return a node on new arguments: an integer or bool of constants is computed, an element of a vector looked up."""
+    """Return a node on new arguments: known whole numbers are computed, elements of vectors looked up."""
     if not args:
         return item
+    if item.op in ("and", "or") and args[0] is args[1]:
+        return args[0]
+    if item.op in ("xor", "or", "add") and item.kind == "uint32":  # not a float: -0.0 + 0 is 0
+        for zero, other in (args, args[::-1]):
+            if zero.op == "const" and zero.data == 0:
+                return other
     if item.op == "select" and args[0].op == "vector" and args[1].op == "const":
         at: int = min(max(args[1].data, 0), len(args[0].args) - 1)
         return args[0].args[at]
