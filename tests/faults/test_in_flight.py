@@ -114,7 +114,7 @@ async def test_a_controller_of_ones_own_that_gives_no_number_never_reaches_a_mot
         tell("NaN of one's own", "level", whole.ms(FAILS_AT, acts(LEVEL)), 8)
         assert not stands(whole.steps[-1])  # the stock controller flies
         assert abs(whole.steps[-1].theta) < LEVEL_RAD
-        assert (drone.state.safety.action, drone.state.safety.reason) == ("level", "own_failed")
+        assert (drone.state.safety.action, drone.state.safety.reason) == ("level", "user_failed")
         await drone.close()
 
 
@@ -128,7 +128,7 @@ async def test_a_controller_in_its_sandbox_that_overruns_is_replaced_in_its_tick
         assert silent(whole.since(FAILS_AT - 10)[:10])
         assert not stands(whole.steps[-1])
         assert abs(whole.steps[-1].theta) < LEVEL_RAD
-        assert drone.state.safety.reason == "own_failed"
+        assert drone.state.safety.reason == "user_failed"
         assert any("fuel" in text.text for text in drone.messages)
         await drone.close()
 

@@ -45,7 +45,7 @@ NUMBERS: Mapping[str, str] = {
 }
 """Where a fault in a number may be, and with which other number it is swapped."""
 
-FLAGS = ("dist_new", "imu_new", "setpoint_new", "link_new", "step_late", "own_late", "step")
+FLAGS = ("dist_new", "imu_new", "setpoint_new", "link_new", "step_late", "user_late", "step")
 """Where a fault in a flag may be; `step` is false where the flight code's step does not run."""
 
 
@@ -193,7 +193,7 @@ def faulty_loop() -> Diagram:
     for name in NUMBERS:
         d.add(name, Fault(), rate=SAMPLE, params={"onset": "onset"}, n="noise")
     flags = dict.fromkeys(("imu_new", "setpoint_new", "link_new", "step"), "script.yes")
-    flags |= {"dist_new": "rig.dist_new", "step_late": "script.no", "own_late": "script.no"}
+    flags |= {"dist_new": "rig.dist_new", "step_late": "script.no", "user_late": "script.no"}
     for name in FLAGS:
         d.add(name, FlagFault(), rate=SAMPLE, params={"onset": "onset"}, u=flags[name])
     d.add("flight", core(failsafe=True, outside=True), rate=SAMPLE, enable="step")
@@ -201,7 +201,7 @@ def faulty_loop() -> Diagram:
         d.connect(name, f"flight.{name}")
     for name in ("x0", "v0", "theta0", "q0", "thrust", "M_open"):
         d.connect(name, f"flight.{name}")
-    for name in ("imu_new", "setpoint_new", "link_new", "dist_new", "step_late", "own_late"):
+    for name in ("imu_new", "setpoint_new", "link_new", "dist_new", "step_late", "user_late"):
         d.connect(name, f"flight.{name}")
     for name in ("arm", "mode", "rings"):
         d.connect(f"script.{name}", f"flight.{name}")
@@ -217,9 +217,9 @@ def faulty_loop() -> Diagram:
         d.connect(f"script.{name}", f"own.{name}")
     d.connect("script.no", "own.in_reset")
     d.add("own_mixer", Mixer(), rate=SAMPLE, T="own.T", M="own_M")
-    d.connect("script.own", "flight.own_given")
+    d.connect("script.own", "flight.user_given")
     for name, source in (("fore", "own_mixer.fore"), ("aft", "own_mixer.aft"), ("M", "own_M"), ("T", "own.T")):
-        d.connect(source, f"flight.own_{name}")
+        d.connect(source, f"flight.user_{name}")
     for name, partner in NUMBERS.items():
         d.connect(sources[name], f"{name}.u")
         d.connect(sources[partner], f"{name}.partner")

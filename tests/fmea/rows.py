@@ -307,8 +307,8 @@ def _own() -> Iterator[Row]:
     yield row("late by 60 ms", number("own_M", "late", 60))
     yield row("noise of .1", number("own_M", "noise", 0.1))
     yield row("M of +-1 in turn, .1 s each", number("own_M", "square", 1.0, 25))
-    yield row("out of time in each tick", flag("own_late", "always"))
-    yield row("out of time once", flag("own_late", "once"))
+    yield row("out of time in each tick", flag("user_late", "always"))
+    yield row("out of time once", flag("user_late", "once"))
 
 
 def _parameters() -> Iterator[Row]:

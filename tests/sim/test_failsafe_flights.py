@@ -213,7 +213,7 @@ def test_a_controller_that_gives_no_number_is_replaced_in_the_same_tick(
     out = loop.fly(3.0)
     failed = 1000 - 875
     assert not out["reason"][:failed].any()
-    assert out["reason"][failed] == BIT["own_failed"]
+    assert out["reason"][failed] == BIT["user_failed"]
     # No tick without thrust: the stock commands fly from the very tick on.
     assert np.isfinite(out["M"]).all()
     assert ((out["fore"] + out["aft"])[failed:] > 0.7).all()

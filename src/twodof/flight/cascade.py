@@ -265,7 +265,7 @@ def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: D
     d = Diagram("cascade", "position, velocity, attitude and rate loop; the mode names the outermost that is closed")
     add_inputs(d, "mode", "in_reset", *SET_POINTS, "x", "v", "theta", "q")
     d.add("logic", ModeLogic(), mode="mode", in_reset="in_reset")
-    v0_used, tilt, thrust = _stock_position(d, gains) if position is None else _own_position(d, position)
+    v0_used, tilt, thrust = _stock_position(d, gains) if position is None else _user_position(d, position)
     d.add(
         "setpoints",
         SetPointsInUse(),
@@ -276,7 +276,7 @@ def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: D
         theta0="theta0",
         projected=tilt,
     )
-    q0_used, moment = _stock_attitude(d, gains) if attitude is None else _own_attitude(d, attitude)
+    q0_used, moment = _stock_attitude(d, gains) if attitude is None else _user_attitude(d, attitude)
     d.add(
         "command",
         MomentAndThrust(),
@@ -302,7 +302,7 @@ def _stock_position(d: Diagram, gains: Gains) -> tuple[str, str, str]:
     return "position.v0", "projection.theta0", "projection.T"
 
 
-def _own_position(d: Diagram, position: Diagram) -> tuple[str, str, str]:
+def _user_position(d: Diagram, position: Diagram) -> tuple[str, str, str]:
     """Add a user's position controller; return the same sources."""
     add_inputs(d, "ax0")
     d.add(
@@ -334,7 +334,7 @@ def _stock_attitude(d: Diagram, gains: Gains) -> tuple[str, str]:
     return "attitude.q0", "rate.M"
 
 
-def _own_attitude(d: Diagram, attitude: Diagram) -> tuple[str, str]:
+def _user_attitude(d: Diagram, attitude: Diagram) -> tuple[str, str]:
     """Add a user's attitude controller; return the same sources."""
     d.add(
         "attitude_control",

@@ -12,9 +12,9 @@ from twodof.flight.declarations import (
     FAILSAFE_INPUTS,
     IMU,
     INPUTS,
-    OWN_INPUTS,
     RANGE,
     SET_POINTS,
+    USER_INPUTS,
     add_inputs,
     ports,
 )
@@ -87,21 +87,21 @@ def core(
     to replace them.
 
     `outside` is for a user's controllers that are not trusted and run elsewhere, such as a whole core in a sandbox.
-    Their commands are the inputs `flight.declarations.OWN_INPUTS` and are monitored in the same way. The output `own`
-    is true in a tick in which they are selected to fly.
+    Their commands are the inputs `flight.declarations.USER_INPUTS` and are monitored in the same way. The output
+    `user_flies` is true in a tick in which they are selected to fly.
 
     Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template, and for
     `outside` without `failsafe` or with `controllers`.
     """
-    own = by_kind(controllers)
-    if outside and (own or not failsafe):
+    users = by_kind(controllers)
+    if outside and (users or not failsafe):
         raise DiagramError(
             "commands of an outside controller need the failsafe and exclude `controllers`",
             "outside",
             "give failsafe=True and no controllers",
         )
     d = Diagram("flight", "estimator, level hold, cascade and mixer at 250 Hz")
-    safety = (*(FAILSAFE_INPUTS if failsafe else ()), *(OWN_INPUTS if outside else ()))
+    safety = (*(FAILSAFE_INPUTS if failsafe else ()), *(USER_INPUTS if outside else ()))
     add_inputs(d, *(name for name, *_ in (*INPUTS, *safety)))
     # Where the controllers read the mode and the set-points: as given, or as the failsafe lets them pass.
     given = {name: f"failsafe.safe_{name}" if failsafe else name for name in GIVEN}
@@ -123,23 +123,23 @@ def core(
     )
     in_reset = "arming"
     if failsafe:
-        d.add("standby", StandbyReset(bool(own)), in_reset="arming", own="failsafe.own")
-        in_reset = "standby.own_in_reset" if own else "standby.stock_in_reset"
-    _cascade(d, "cascade", cascade(gains, own.get(ATTITUDE.name), own.get(POSITION.name)), given, in_reset)
-    if POSITION.name in own:
+        d.add("standby", StandbyReset(bool(users)), in_reset="arming", user_flies="failsafe.user_flies")
+        in_reset = "standby.user_in_reset" if users else "standby.stock_in_reset"
+    _cascade(d, "cascade", cascade(gains, users.get(ATTITUDE.name), users.get(POSITION.name)), given, in_reset)
+    if POSITION.name in users:
         d.connect(given["ax0"], "cascade.ax0")
     command = "cascade"
-    if own:
+    if users:
         command = d.add("sound", FiniteCommands(), M="cascade.M", T="cascade.T")
-    if MOTOR.name in own:
-        pairs, flown = _own_motors(d, own[MOTOR.name], command, given["mode"], in_reset), "pairs.M"
+    if MOTOR.name in users:
+        pairs, flown = _user_motors(d, users[MOTOR.name], command, given["mode"], in_reset), "pairs.M"
         shown = {"M": "pairs.M_shown", "T": "pairs.T_shown"}
     else:
         pairs, flown = d.add("mixer", Mixer(), T=f"{command}.T", M=f"{command}.M"), f"{command}.M"
         shown = {"M": "cascade.M", "T": "cascade.T"}
     commands = shown | {name: f"{pairs}.{name}" for name in ("fore", "aft")}
     if failsafe:
-        _failsafe(d, given, commands, gains if own else None, outside)
+        _failsafe(d, given, commands, gains if users else None, outside)
         commands = {name: f"failsafe.{name}" for name in COMMANDS}
         flown = "failsafe.M"
     for name in COMMANDS:
@@ -184,15 +184,15 @@ def _failsafe(
         stock = {"M": "stock.M", "T": "stock.T", "fore": "stock_mixer.fore", "aft": "stock_mixer.aft"}
     for name in COMMANDS:
         d.connect(stock[name], f"failsafe.{name}")
-        d.connect(f"own_{name}" if outside else commands[name], f"failsafe.own_{name}")
-    d.connect("own_given" if outside else "standby.own_given", "failsafe.own_given")
+        d.connect(f"user_{name}" if outside else commands[name], f"failsafe.user_{name}")
+    d.connect("user_given" if outside else "standby.user_given", "failsafe.user_given")
     for name, _, _ in FAILSAFE_OUTPUTS:
         d.output(name, f"failsafe.{name}")
     if outside:
-        d.output("own", "failsafe.own")
+        d.output("user_flies", "failsafe.user_flies")
 
 
-def _own_motors(d: Diagram, motors: Diagram, command: str, mode: str, in_reset: str) -> str:
+def _user_motors(d: Diagram, motors: Diagram, command: str, mode: str, in_reset: str) -> str:
     """Add a user's motor controller in the mixer's place, fed by `command`; return the part that makes the pairs."""
     d.add("flags", MotorFlags(), mode=mode)
     d.add(

@@ -65,16 +65,21 @@ FAILSAFE_INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("rings", "bool", "", "the rings lock the cart: range and rail end do not matter"),
     ("voltage", "real", "V", "of the battery"),
     ("step_late", "bool", "", "the flight controller's last step ran out of its time"),
-    ("own_late", "bool", "", "the user's controller ran out of its time, its commands of this tick are not to be used"),
+    (
+        "user_late",
+        "bool",
+        "",
+        "the user's controller ran out of its time, its commands of this tick are not to be used",
+    ),
 )
 """Name, type, unit and meaning of each further input of a flight core with the failsafe."""
 
-OWN_INPUTS: tuple[tuple[str, str, str, str], ...] = (
-    ("own_given", "bool", "", "a user's commands are there and are to fly as long as they are healthy"),
-    ("own_fore", "real", "", "the user's command of the fore rotor pair"),
-    ("own_aft", "real", "", "of the aft pair"),
-    ("own_M", "real", "", "the user's moment, to be shown while it flies"),
-    ("own_T", "real", "", "the user's thrust, the same"),
+USER_INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("user_given", "bool", "", "a user's commands are there and are to fly as long as they are healthy"),
+    ("user_fore", "real", "", "the user's command of the fore rotor pair"),
+    ("user_aft", "real", "", "of the aft pair"),
+    ("user_M", "real", "", "the user's moment, to be shown while it flies"),
+    ("user_T", "real", "", "the user's thrust, the same"),
 )
 """Name, type, unit and meaning of each further input of a core whose user's commands come from outside it."""
 
@@ -85,7 +90,7 @@ SET_POINTS = ("x0", "v0", "theta0", "q0", "thrust", "M_open")
 """Set-points that are real numbers and that the stock controllers read."""
 COMMANDS = ("fore", "aft", "M", "T")
 
-_PORTS = {name: Port(name, kind, unit=unit) for name, kind, unit, _ in (*INPUTS, *FAILSAFE_INPUTS, *OWN_INPUTS)} | {
+_PORTS = {name: Port(name, kind, unit=unit) for name, kind, unit, _ in (*INPUTS, *FAILSAFE_INPUTS, *USER_INPUTS)} | {
     port.name: port
     for port in (
         Port("theta", unit="rad"),
@@ -95,7 +100,7 @@ _PORTS = {name: Port(name, kind, unit=unit) for name, kind, unit, _ in (*INPUTS,
         Port("acceleration", unit="m/s2"),
         *(Port(name) for name in (*COMMANDS, "sine", "cosine")),
         *(Port(name, "int32") for name in ("state", "timer", "mask")),
-        *(Port(name, "bool") for name in ("own", "stopped", "failed", "stuck_off", "own_lost", "command_lost")),
+        *(Port(name, "bool") for name in ("user_flies", "stopped", "failed", "stuck_off", "user_lost", "command_lost")),
     )
 }
 

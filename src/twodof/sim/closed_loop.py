@@ -380,5 +380,5 @@ class ClosedLoop:
         flying = int(self.machine.state("flight.failsafe.machine.state")) == FLYING
         arm = np.arange(steps) >= (0 if flying else ARMING)
         healthy = dict.fromkeys(("setpoint_new", "link_new", "imu_new"), True)
-        late = dict.fromkeys(("step_late", "own_late"), False)
+        late = dict.fromkeys(("step_late", "user_late"), False)
         return {**healthy, **late, "arm": np.repeat(arm, TICKS), "rings": bool(self.machine.get("rig.rings"))}

@@ -54,7 +54,7 @@ def _at_rest(precision: str, position_filter: str, of_rig: Values, of_estimator:
     machine.reset()
     seen = machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
     given: dict[str, Any] = {name: seen[name][::TICKS] for name in MEASURED if name in _OUTPUTS}
-    given |= {"imu_new": True, "rings": False, "step_late": False, "own_late": False}
+    given |= {"imu_new": True, "rings": False, "step_late": False, "user_late": False}
     # The estimator is the same with all controllers.
     code = FlightCode(position_filter=position_filter, precision=precision).machine
     code.set_many(dict(of_estimator))

@@ -54,7 +54,7 @@ def test_a_controller_that_gives_no_number_is_replaced_in_the_same_tick(trusted:
         assert step.armed
         assert step.fore > 0.0
         assert step.aft > 0.0
-    assert all(step.action == LEVEL and step.reason == BIT["own_failed"] for step in after)
+    assert all(step.action == LEVEL and step.reason == BIT["user_failed"] for step in after)
     assert abs(after[-1].theta) < 0.03, "level by the stock controller"
 
 
@@ -98,7 +98,7 @@ def test_in_real_time_a_sandbox_out_of_processor_time_is_replaced(monkeypatch: p
     monkeypatch.setattr(time, "thread_time_ns", clock)
     steps = fly(made, UNTIL)
     assert (steps[FAIL_AT].action, steps[FAIL_AT].armed) == (NONE, True)
-    assert all(step.action == LEVEL and step.reason == BIT["own_failed"] for step in steps[FAIL_AT + 1 :])
+    assert all(step.action == LEVEL and step.reason == BIT["user_failed"] for step in steps[FAIL_AT + 1 :])
 
 
 def test_commands_of_the_last_resort_that_are_no_numbers_stop_the_motors_in_that_tick() -> None:

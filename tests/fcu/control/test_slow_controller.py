@@ -86,7 +86,7 @@ def test_in_flight_it_is_disbelieved_once_and_the_stock_controller_levels(slow: 
     made = flown(slow, SLOW_AT + 500)
     assert slow.stepped[-1] == SLOW_AT, f"it was stepped {slow.stepped[-1] - SLOW_AT} times more"
     after = steps(made)[SLOW_AT + 1 :]
-    assert all(step.armed and step.action == LEVEL and step.reason == BIT["own_failed"] for step in after)
+    assert all(step.armed and step.action == LEVEL and step.reason == BIT["user_failed"] for step in after)
     assert abs(after[-1].theta) < 0.03
     said = [text for _, text in made.remarks]
     what = "controller stopped, the stock one levels the drone: a step of lqr_attitude took 7.0 ms"

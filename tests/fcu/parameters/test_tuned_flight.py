@@ -58,7 +58,7 @@ def test_a_value_of_which_prepare_makes_nan_is_handled_as_a_moment_that_is_no_nu
         assert math.isfinite(step.M)
         assert step.armed
         assert step.fore > 0.0
-    assert all(step.action == LEVEL and step.reason == BIT["own_failed"] for step in steps[AT + 1 :])
+    assert all(step.action == LEVEL and step.reason == BIT["user_failed"] for step in steps[AT + 1 :])
 
 
 @BOTH
@@ -194,7 +194,7 @@ def test_in_real_time_the_time_of_a_change_is_part_of_the_next_step(monkeypatch:
     monkeypatch.setattr(sandbox.machine.instance, "prepare", slow)
     made.code.set_parameters({ABOVE: 3.0})
     steps = fly(made, UNTIL)
-    assert all(step.action == LEVEL and step.reason == BIT["own_failed"] for step in steps[AT + 1 :])
+    assert all(step.action == LEVEL and step.reason == BIT["user_failed"] for step in steps[AT + 1 :])
 
 
 @BOTH

@@ -218,27 +218,27 @@ def stuck(r: Row) -> dict[str, Any]:
 
 
 def gate(r: Row) -> dict[str, Any]:
-    own = all(math.isfinite(r[f"own_{name}"]) for name in COMMANDS) and not r["own_late"]
+    own = all(math.isfinite(r[f"user_{name}"]) for name in COMMANDS) and not r["user_late"]
     stock = all(math.isfinite(r[name]) for name in COMMANDS)
     flown = dict.fromkeys(COMMANDS, 0.0)
     if not r["stopped"]:
-        if r["own"] and own:
-            flown = {name: r[f"own_{name}"] for name in COMMANDS}
+        if r["user_flies"] and own:
+            flown = {name: r[f"user_{name}"] for name in COMMANDS}
         elif stock:
             flown = {name: r[name] for name in COMMANDS}
     return {
         **{f"output.{name}": min(1.0, max(0.0, flown[name])) for name in ("fore", "aft")},
         **{f"output.{name}": flown[name] for name in ("M", "T")},
-        "output.own_lost": r["own"] and not own,
-        "output.command_lost": not r["stopped"] and not stock and not (r["own"] and own),
+        "output.user_lost": r["user_flies"] and not own,
+        "output.command_lost": not r["stopped"] and not stock and not (r["user_flies"] and own),
     }
 
 
 def standby(r: Row) -> dict[str, Any]:
     return {
-        "output.own_in_reset": r["in_reset"] or not r["own"],
-        "output.stock_in_reset": r["in_reset"] or r["own"],
-        "output.own_given": True,
+        "output.user_in_reset": r["in_reset"] or not r["user_flies"],
+        "output.stock_in_reset": r["in_reset"] or r["user_flies"],
+        "output.user_given": True,
     }
 
 
@@ -274,7 +274,7 @@ ACTING = sum(BIT[cause.name] for cause in CAUSES if cause.action)
 def reasons(r: Row) -> dict[str, Any]:
     state, was = r["state"], r["last_was"]
     now = r["mask"] if state == REFUSED else r["mask"] & (WARNING if state == FLYING else ACTING)
-    for flag, name in (("failed", "own_failed"), ("own_lost", "own_failed"), ("stuck_off", "command_stuck")):
+    for flag, name in (("failed", "user_failed"), ("user_lost", "user_failed"), ("stuck_off", "command_stuck")):
         now |= BIT[name] if r[flag] else 0
     now |= BIT["command_lost"] if r["command_lost"] else 0
     if state == DISARMED:
@@ -285,7 +285,7 @@ def reasons(r: Row) -> dict[str, Any]:
         reason = r["last_held"] | now
     else:
         reason = now
-    forget = state == FLYING and not (r["own_lost"] or r["command_lost"])
+    forget = state == FLYING and not (r["user_lost"] or r["command_lost"])
     return {"output.reason": reason, "update.held": 0 if forget else reason, "update.was": state}
 
 
@@ -458,17 +458,17 @@ MEANINGS = (
     Meaning(
         OutputSelector(),
         {
-            **dict.fromkeys(("stopped", "own", "own_late"), BOOLS),
+            **dict.fromkeys(("stopped", "user_flies", "user_late"), BOOLS),
             **{
                 f"{who}{name}": (*(-0.5, 0.0, 0.25, 0.5, 1.0, 1.5, 0.75) * 2, NAN, INF, -INF)
-                for who in ("", "own_")
+                for who in ("", "user_")
                 for name in COMMANDS
             },
         },
         gate,
         EITHER,
     ),
-    Meaning(StandbyReset(True), dict.fromkeys(("in_reset", "own"), BOOLS), standby, {}),
+    Meaning(StandbyReset(True), dict.fromkeys(("in_reset", "user_flies"), BOOLS), standby, {}),
     Meaning(
         SafeSetPoints(),
         {
@@ -500,7 +500,7 @@ MEANINGS = (
             "last_was": STATES,
             "mask": (0, 1, WARNING, BIT["tilted"], BIT["imu_lost"], WARNING | 1 | BIT["not_idle"]),
             "last_held": (0, BIT["link_lost"], BIT["tilted"]),
-            **dict.fromkeys(("failed", "own_lost", "stuck_off", "command_lost"), BOOLS),
+            **dict.fromkeys(("failed", "user_lost", "stuck_off", "command_lost"), BOOLS),
         },
         reasons,
         {},

@@ -17,7 +17,7 @@ Array = NDArray[Any]
 Table = Mapping[str, Array]
 """Inputs and states by name, outputs as "output.state", next states as "update.state", each (cases,)."""
 
-FLAGS = ("arm", "ready", "off", "descend", "brake", "level", "stuck", "own_given", "own_lost", "command_lost")
+FLAGS = ("arm", "ready", "off", "descend", "brake", "level", "stuck", "user_given", "user_lost", "command_lost")
 LIMITS = {"level_ticks": 4, "descent_ticks": 3}
 """Small bounds of the timer. With the real ones the compiled C is explored."""
 
@@ -32,15 +32,15 @@ TIMERS = (*range(max(LIMITS.values())), 24, -3)
 @functools.cache
 def cases(timers: tuple[int, ...] = TIMERS) -> dict[str, Array]:
     """Every state, real or not, with each count and every vector of flags."""
-    return combinations(state=(*range(len(STATES)), *STRANGE), timer=timers, own_failed=(False, True), **flags(*FLAGS))
+    return combinations(state=(*range(len(STATES)), *STRANGE), timer=timers, user_failed=(False, True), **flags(*FLAGS))
 
 
-def meant(state: int, timer: int, own_failed: bool, now: Mapping[str, bool], limits: Mapping[str, int]) -> list[Any]:
+def meant(state: int, timer: int, user_failed: bool, now: Mapping[str, bool], limits: Mapping[str, int]) -> list[Any]:
     """The state machine as docs/explanation/safety.md tells it, with plain ifs: its outputs, then its next states."""
-    own_flew = now["own_given"] and not own_failed and state == FLYING
+    user_flew = now["user_given"] and not user_failed and state == FLYING
     may_turn = state in (FLYING, LEVEL, BRAKE, DESCEND)
-    stuck_off = may_turn and now["stuck"] and not own_flew
-    failed = now["arm"] and (own_failed or (own_flew and now["stuck"]))
+    stuck_off = may_turn and now["stuck"] and not user_flew
+    failed = now["arm"] and (user_failed or (user_flew and now["stuck"]))
     count = max(timer, 0) + 1
     if not now["arm"]:
         new = DISARMED
@@ -69,15 +69,18 @@ def meant(state: int, timer: int, own_failed: bool, now: Mapping[str, bool], lim
         count if goes_on else 0,
         ACTIONS.index(action),
         turn,
-        now["own_given"] and new == FLYING and not failed,
+        now["user_given"] and new == FLYING and not failed,
     ]
     after = OFF if now["command_lost"] and turn else new
-    return [*outputs, failed, not turn, stuck_off, after, outputs[1], now["arm"] and (failed or now["own_lost"])]
+    return [*outputs, failed, not turn, stuck_off, after, outputs[1], now["arm"] and (failed or now["user_lost"])]
 
 
 COLUMNS = (
-    *(f"output.{name}" for name in ("state", "timer", "action", "armed", "own", "failed", "stopped", "stuck_off")),
-    *(f"update.{name}" for name in ("state", "timer", "own_failed")),
+    *(
+        f"output.{name}"
+        for name in ("state", "timer", "action", "armed", "user_flies", "failed", "stopped", "stuck_off")
+    ),
+    *(f"update.{name}" for name in ("state", "timer", "user_failed")),
 )
 
 
@@ -91,7 +94,7 @@ def meant_table(level_ticks: int, descent_ticks: int, timers: tuple[int, ...] = 
     rows = [
         meant(state, timer, failed, named(now), limits)
         for state, timer, failed, now in zip(
-            columns["state"], columns["timer"], columns["own_failed"], flag_rows, strict=True
+            columns["state"], columns["timer"], columns["user_failed"], flag_rows, strict=True
         )
     ]
     return {name: np.array(column) for name, column in zip(COLUMNS, zip(*rows, strict=True), strict=True)}
@@ -138,12 +141,14 @@ PROPERTIES: dict[str, Callable[[Table], Array]] = {
         ~t["brake"] | t["output.stopped"] | np.isin(t["output.state"], (BRAKE, DESCEND))
     ),
     "level comes in the same tick": lambda t: ~t["level"] | t["output.stopped"] | (t["output.state"] != FLYING),
-    "a failed controller does not fly": lambda t: ~t["own_failed"] | ~t["output.own"],
-    "a failed controller is failed until disarmed": lambda t: ~(t["own_failed"] & t["arm"]) | t["update.own_failed"],
+    "a failed controller does not fly": lambda t: ~t["user_failed"] | ~t["output.user_flies"],
+    "a failed controller is failed until disarmed": lambda t: ~(t["user_failed"] & t["arm"]) | t["update.user_failed"],
     "a controller lost in this tick has failed in the next": lambda t: (
-        ~(t["own_lost"] & t["arm"]) | t["update.own_failed"]
+        ~(t["user_lost"] & t["arm"]) | t["update.user_failed"]
     ),
-    "a user's controller flies only where nothing acts": lambda t: ~t["output.own"] | (t["output.state"] == FLYING),
+    "a user's controller flies only where nothing acts": lambda t: (
+        ~t["output.user_flies"] | (t["output.state"] == FLYING)
+    ),
     "silent by default": lambda t: (
         (t["state"] != FLYING)
         | ~t["arm"]
@@ -152,8 +157,8 @@ PROPERTIES: dict[str, Callable[[Table], Array]] = {
         | t["brake"]
         | t["level"]
         | t["stuck"]
-        | t["own_failed"]
-        | ((t["output.state"] == FLYING) & (t["output.own"] == t["own_given"]))
+        | t["user_failed"]
+        | ((t["output.state"] == FLYING) & (t["output.user_flies"] == t["user_given"]))
     ),
 }
 """What holds in each single case. How long something lasts is told by `longest`."""
@@ -165,7 +170,7 @@ def violated(table: Table) -> list[str]:
 
 
 def reached(table: Table) -> Array:
-    """Which cases can come about, (cases,): those with a (state, timer, own_failed) reachable from power-on."""
+    """Which cases can come about, (cases,): those with a (state, timer, user_failed) reachable from power-on."""
     before, _ = _codes(table)
     source, target, nodes = _edges(table, np.ones(len(before), np.bool_))
     found = nodes == _code(np.array([DISARMED]), np.array([0]), np.array([False]))[0]
@@ -204,8 +209,8 @@ def _code(state: Array, timer: Array, failed: Array) -> Array:
 
 
 def _codes(table: Table) -> tuple[Array, Array]:
-    before = _code(table["state"], table["timer"], table["own_failed"])
-    return before, _code(table["update.state"], table["update.timer"], table["update.own_failed"])
+    before = _code(table["state"], table["timer"], table["user_failed"])
+    return before, _code(table["update.state"], table["update.timer"], table["update.user_failed"])
 
 
 def _edges(table: Table, used: Array) -> tuple[Array, Array, Array]:

@@ -64,13 +64,13 @@ def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(
         "link_new": 1,
         "imu_new": 1,
         "dist_new": 1,
-        "own_given": 1,
+        "user_given": 1,
         "voltage": 12.0,
         "acc_z": -9.81,
         "dist": 0.5,
         "mode": 3,
         "thrust": 0.4,
-        **{f"{who}{what}": 0.4 for who in ("", "own_") for what in ("fore", "aft", "T")},
+        **{f"{who}{what}": 0.4 for who in ("", "user_") for what in ("fore", "aft", "T")},
     }
     inputs = {}
     for name, port in diagram.inputs.items():
@@ -135,7 +135,7 @@ ALONE: dict[str, tuple[dict[str, Any], int, int]] = {
     "setpoint_invalid": ({"v0": NAN}, 1, LEVEL),
     "pitch_near": ({"theta": -0.81}, 1, LEVEL),
     "rings_wrong": ({"rings": True}, 1, LEVEL),
-    "own_failed": ({"own_T": NAN}, 2, LEVEL),
+    "user_failed": ({"user_T": NAN}, 2, LEVEL),
     "rail_near": ({"x": 0.372, "dist": 0.872}, 1, BRAKE),
     "link_lost": ({"link_new": False}, 750, DESCEND),
     "battery_critical": ({"voltage": 9.0}, 125, DESCEND),
@@ -180,13 +180,16 @@ def flown(steps: int, motion_limit: float = 0.1, **changes: Any) -> dict[str, ND
     late = np.arange(n) >= 250
     inputs: dict[str, Any] = {
         **dict.fromkeys(("setpoint_new", "link_new", "imu_new", "dist_new"), True),
-        **{name: 0.4 + 0.01 * rng.standard_normal(n) for name in ("fore", "aft", "T", "own_fore", "own_aft", "own_T")},
+        **{
+            name: 0.4 + 0.01 * rng.standard_normal(n)
+            for name in ("fore", "aft", "T", "user_fore", "user_aft", "user_T")
+        },
         "arm": np.arange(n) >= 10,
         "mode": np.where(np.arange(n) >= 20, 5, 0),
         **imu_at_rest(rng, n),
         "dist": np.full(n, 0.5),
         "voltage": 12.0,
-        "own_given": "own_T" in changes,
+        "user_given": "user_T" in changes,
     }
     noise = 0.004 * rng.standard_normal(n)
     for name, value in changes.items():
@@ -255,13 +258,13 @@ def test_commands_from_outside_fly_and_are_watched_like_those_inside() -> None:
             "dist": 0.5,
         }
         theirs = sandbox.step(seen | asked)
-        commands = {f"own_{name}": theirs[name] for name in ("fore", "aft", "M", "T")}
+        commands = {f"user_{name}": theirs[name] for name in ("fore", "aft", "M", "T")}
         if k >= 400:
-            commands["own_aft"] = NAN
-        late = {"own_late": k >= 400}
+            commands["user_aft"] = NAN
+        late = {"user_late": k >= 400}
         expected = inside.step(seen | asked | healthy | late | {"arm": k >= 10})
-        out = gate.step(seen | asked | healthy | commands | {"own_given": True, "arm": k >= 10})
-        assert out["own"] == (10 <= k <= 400)
+        out = gate.step(seen | asked | healthy | commands | {"user_given": True, "arm": k >= 10})
+        assert out["user_flies"] == (10 <= k <= 400)
         assert [out[name] for name in ("fore", "aft", "M", "T", "action", "reason")] == [
             expected[name] for name in ("fore", "aft", "M", "T", "action", "reason")
         ], k

@@ -70,7 +70,7 @@ def test_a_block_does_what_is_meant_at_and_beside_every_threshold(meaning: Meani
     assert set(out) == set(wanted)
     assert differing(out, wanted) == []
     for name, values in wanted.items():
-        assert len(np.unique(values)) > 1 or name == "output.own_given", f"{name} is always the same: more cases"
+        assert len(np.unique(values)) > 1 or name == "output.user_given", f"{name} is always the same: more cases"
 
 
 @pytest.mark.parametrize("meaning", MEANINGS, ids=IDS)

@@ -84,8 +84,8 @@ def explored(bounds: tuple[int, int]) -> dict[str, NDArray[Any]]:
     vectors = combinations(**flags(*FLAGS))
     count = len(vectors["arm"])
     columns = {name: np.tile(column, len(rows)) for name, column in vectors.items()}
-    for place, name in enumerate(("state", "timer", "own_failed")):
-        columns[name] = np.repeat(rows[:, place], count).astype(np.bool_ if name == "own_failed" else np.int32)
+    for place, name in enumerate(("state", "timer", "user_failed")):
+        columns[name] = np.repeat(rows[:, place], count).astype(np.bool_ if name == "user_failed" else np.int32)
     return columns | run(machine, columns)
 
 

@@ -21,7 +21,7 @@ from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.sandbox import Sandbox
 from twodof.fcu.parameters.table import UserParameters, user_parameters
 from twodof.flight.core import core
-from twodof.flight.declarations import FAILSAFE_INPUTS, OWN_INPUTS
+from twodof.flight.declarations import FAILSAFE_INPUTS, USER_INPUTS
 from twodof.flight.declarations import INPUTS as CORE_INPUTS
 from twodof.flight.templates import MOTOR, TEMPLATES
 from twodof.parameters import FLIGHT_PARAMETERS
@@ -30,10 +30,10 @@ from twodof.signals import PERIOD
 MEASURED = tuple(name for name, _, _, _ in (*CORE_INPUTS, *FAILSAFE_INPUTS) if name in SensorSample._fields)
 """The fields of a sample that the flight code reads."""
 
-INPUTS = (*MEASURED, *ControlInput._fields, "rings", "step_late", "own_late")
+INPUTS = (*MEASURED, *ControlInput._fields, "rings", "step_late", "user_late")
 """The inputs of the flight code, in the order of `FlightCode.step`."""
 
-USER_INPUTS = tuple(name for name, _, _, _ in OWN_INPUTS)
+_COMMANDED = tuple(name for name, _, _, _ in USER_INPUTS)
 """Further inputs after those: the commands of a user's controllers in the sandbox."""
 
 PATHS: Mapping[str, str] = MappingProxyType({row.name: row.path for row in FLIGHT_PARAMETERS})
@@ -119,7 +119,9 @@ class FlightCode:
         program = make(position_filter, precision, outside, inside)
         self.machine: CompiledMachine = program.machine()
         self._stepper = Stepper(
-            self.machine, (*INPUTS, *(USER_INPUTS if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
+            self.machine,
+            (*INPUTS, *(_COMMANDED if outside else ())),
+            (*OUTPUTS, *(("user_flies",) if outside else ())),
         )
         self.user_parameters: tuple[UserParameters, ...] = user_parameters(self.controllers)
         self._user_values: dict[str, Any] = {}

@@ -161,7 +161,7 @@ UNHEALTHY: tuple[tuple[int, int], ...] = (
     (BIT["imu_lost"], GYRO | ACCELEROMETER),
     (BIT["range_lost"], RANGE),
     (BIT["estimate_lost"], AHRS),
-    (BIT["own_failed"] | BIT["command_stuck"] | BIT["command_lost"], RATE_CONTROL | ATTITUDE_CONTROL),
+    (BIT["user_failed"] | BIT["command_stuck"] | BIT["command_lost"], RATE_CONTROL | ATTITUDE_CONTROL),
     (BIT["battery_low"] | BIT["battery_critical"], BATTERY),
 )
 """Causes of the failsafe, and the sensors that SYS_STATUS reports as unhealthy while they hold."""

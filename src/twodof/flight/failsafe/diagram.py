@@ -11,9 +11,9 @@ from twodof.flight.declarations import (
     ESTIMATED,
     FAILSAFE_INPUTS,
     IMU,
-    OWN_INPUTS,
     RANGE,
     SET_POINTS,
+    USER_INPUTS,
     add_inputs,
     finite,
     ports,
@@ -79,9 +79,9 @@ class SafeSetPoints(Block):
         place = maximum(-p.rail_hold, minimum(p.rail_hold, u.x))
         back = p.brake_x * (u.x - place) + p.brake_v * u.v
         tilt = maximum(-p.brake_tilt, minimum(p.brake_tilt, back))
-        own = {"thrust": x.thrust * fade, "theta0": where(braking & finite(tilt), tilt, 0.0)}
+        held = {"thrust": x.thrust * fade, "theta0": where(braking & finite(tilt), tilt, 0.0)}
         return {"mode": where(standing, int32(OFF), mode)} | {
-            name: where(flying, value, own.get(name, 0.0)) for name, value in given.items()
+            name: where(flying, value, held.get(name, 0.0)) for name, value in given.items()
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
@@ -92,51 +92,51 @@ class SafeSetPoints(Block):
 class OutputSelector(Block):
     """Gate to the motors: passes the commands of the user's controller or of the stock one, or stops the motors.
 
-    `own_fore`, ... are the user's commands. They pass while `own`, if they are finite and the controller was in time
-    (not `own_late`). Otherwise the stock commands pass in the same tick. If those are not finite either, or the motors
-    are `stopped`, both pairs get 0. `fore` and `aft` are limited to [0, 1].
+    `user_fore`, ... are the user's commands. They pass while `user_flies`, if they are finite and the controller was in
+    time (not `user_late`). Otherwise the stock commands pass in the same tick. If those are not finite either, or the
+    motors are `stopped`, both pairs get 0. `fore` and `aft` are limited to [0, 1].
     """
 
-    inputs = ports("stopped", "own", "own_late", *COMMANDS, *(f"own_{name}" for name in COMMANDS))
-    outputs = ports(*COMMANDS, "own_lost", "command_lost")
+    inputs = ports("stopped", "user_flies", "user_late", *COMMANDS, *(f"user_{name}" for name in COMMANDS))
+    outputs = ports(*COMMANDS, "user_lost", "command_lost")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         def numbers(prefix: str) -> Any:
             fore, aft, moment, thrust = (finite(u[f"{prefix}{name}"]) for name in COMMANDS)
             return fore & aft & moment & thrust
 
-        healthy = numbers("own_") & ~u.own_late
-        use_own = u.own & healthy
-        sound = use_own | numbers("")
+        healthy = numbers("user_") & ~u.user_late
+        use_user = u.user_flies & healthy
+        sound = use_user | numbers("")
         fly = ~u.stopped & sound
 
         def passed(name: str) -> Any:
-            return where(fly, where(use_own, u[f"own_{name}"], u[name]), 0.0)
+            return where(fly, where(use_user, u[f"user_{name}"], u[name]), 0.0)
 
         return {
             "fore": maximum(0.0, minimum(1.0, passed("fore"))),
             "aft": maximum(0.0, minimum(1.0, passed("aft"))),
             "M": passed("M"),
             "T": passed("T"),
-            "own_lost": u.own & ~healthy,
+            "user_lost": u.user_flies & ~healthy,
             "command_lost": ~u.stopped & ~sound,
         }
 
 
 class StandbyReset(Block):
-    """Resets of the integrals of the controllers that do not fly. `own_given` is the constant `given`."""
+    """Resets of the integrals of the controllers that do not fly. `user_given` is the constant `given`."""
 
-    inputs = ports("in_reset", "own")
-    outputs = (Port("own_in_reset", "bool"), Port("stock_in_reset", "bool"), *ports("own_given"))
+    inputs = ports("in_reset", "user_flies")
+    outputs = (Port("user_in_reset", "bool"), Port("stock_in_reset", "bool"), *ports("user_given"))
 
     def __init__(self, given: bool) -> None:
         self.given = given
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         return {
-            "own_in_reset": u.in_reset | ~u.own,
-            "stock_in_reset": u.in_reset | u.own,
-            "own_given": self.given,
+            "user_in_reset": u.in_reset | ~u.user_flies,
+            "stock_in_reset": u.in_reset | u.user_flies,
+            "user_given": self.given,
         }
 
 
@@ -147,7 +147,7 @@ OUTPUTS: tuple[tuple[str, str, str], ...] = (
     ("action", "", "what the failsafe does: index into ACTIONS"),
     ("state", "", "its state: index into STATES"),
     ("reason", "", "why: mask of CAUSES, bit n for the nth"),
-    ("causes", "", "all causes that hold in this tick, those that only speak against arming included: mask of CAUSES"),
+    ("causes", "", "all causes that hold in this tick, also those that only prevent arming: mask of CAUSES"),
 )
 """Name, unit and meaning of each output that a flight core with the failsafe has besides `core.OUTPUTS`."""
 
@@ -175,16 +175,16 @@ def failsafe() -> Diagram:
     """Return the diagram of the failsafe, made for 250 Hz.
 
     Inputs: `FAILSAFE_INPUTS`; the measurements and estimates; `mode` and the set-points from outside; the stock
-    commands `fore`, `aft`, `M`, `T`; and the user's `own_fore`, ..., used if `own_given` is true.
+    commands `fore`, `aft`, `M`, `T`; and the user's `user_fore`, ..., used if `user_given` is true.
 
-    Outputs: mode and set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which do not depend on the
-    controllers' outputs of this tick; `range_taken`, true if the range sample may correct the estimates, and
+    Outputs: mode and set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `user_flies`, which do not depend
+    on the controllers' outputs of this tick; `range_taken`, true if the range sample may correct the estimates, and
     `range_age`, which do not depend on the estimates of this tick; the commands `fore`, `aft`, `M`, `T` for the motors;
     and `OUTPUTS`.
     """
     d = Diagram("failsafe", "flags, timers, state machine, and the last gate to the motors")
     add_inputs(d, *(name for name, *_ in FAILSAFE_INPUTS), *IMU, *RANGE, *ESTIMATED, "mode", *SET_POINTS, "ax0")
-    add_inputs(d, *COMMANDS, *(name for name, *_ in OWN_INPUTS))
+    add_inputs(d, *COMMANDS, *(name for name, *_ in USER_INPUTS))
     d.params["descent"] = tunable("failsafe.descent")
     _flags(d)
     _timers(d)
@@ -269,8 +269,8 @@ def _machine(d: Diagram) -> None:
         brake="brake_lasts",
         level="level_lasts",
         stuck="stuck",
-        own_given="own_given",
-        own_lost="gate.own_lost",
+        user_given="user_given",
+        user_lost="gate.user_lost",
         command_lost="gate.command_lost",
     )
     d.add(
@@ -280,7 +280,7 @@ def _machine(d: Diagram) -> None:
         mask="classes.mask",
         failed="machine.failed",
         stuck_off="machine.stuck_off",
-        own_lost="gate.own_lost",
+        user_lost="gate.user_lost",
         command_lost="gate.command_lost",
     )
     for name in ("armed", "action", "state"):
@@ -306,11 +306,11 @@ def _gate(d: Diagram) -> None:
     )
     for name in ("mode", *SET_POINTS, "ax0"):
         d.output(f"safe_{name}", f"safe.{name}")
-    d.add("gate", OutputSelector(), stopped="machine.stopped", own="machine.own", own_late="own_late")
-    d.output("own", "machine.own")
+    d.add("gate", OutputSelector(), stopped="machine.stopped", user_flies="machine.user_flies", user_late="user_late")
+    d.output("user_flies", "machine.user_flies")
     for name in COMMANDS:
         d.connect(name, f"gate.{name}")
-        d.connect(f"own_{name}", f"gate.own_{name}")
+        d.connect(f"user_{name}", f"gate.user_{name}")
         d.output(name, f"gate.{name}")
     for name in ("fore", "aft"):
         d.connect(f"gate.{name}", *(f"{part}.{name}" for part in ("commands", "force", "rate")))

@@ -34,24 +34,24 @@ class FailsafeStateMachine(Block):
     off        stays, until disarmed
     ========== =========================================================================================
 
-    An action follows its cause in the same tick. The faults that the gate finds behind the controllers (`own_lost`,
-    `command_lost`) stop the motors at the gate, and reach this machine in the next tick. `own` is true if the user's
-    controller flies, unless the gate finds a fault in this tick; after a fault it does not fly again until the drone is
-    disarmed. `stuck` means that the commands to the motors do not change. `timer` counts the ticks of descend, or of
-    level and brake together, 0 in the first. `action` is the index into `causes_and_actions.ACTIONS`.
+    An action follows its cause in the same tick. The faults that the gate finds behind the controllers (`user_lost`,
+    `command_lost`) stop the motors at the gate, and reach this machine in the next tick. `user_flies` is true if the
+    user's controller flies, unless the gate finds a fault in this tick; after a fault it does not fly again until the
+    drone is disarmed. `stuck` means that the commands to the motors do not change. `timer` counts the ticks of descend,
+    or of level and brake together, 0 in the first. `action` is the index into `causes_and_actions.ACTIONS`.
     """
 
     inputs = (
         *(Port(name, "bool") for name in ("arm", "ready", "off", "descend", "brake", "level", "stuck")),
-        *ports("own_given", "own_lost", "command_lost"),
+        *ports("user_given", "user_lost", "command_lost"),
     )
     outputs = (
         *ports("state", "timer"),
         Port("action", "int32"),
         Port("armed", "bool"),
-        *ports("own", "failed", "stopped", "stuck_off"),
+        *ports("user_flies", "failed", "stopped", "stuck_off"),
     )
-    states = (State("state", DISARMED, "int32"), State("timer", 0, "int32"), State("own_failed", False, "bool"))
+    states = (State("state", DISARMED, "int32"), State("timer", 0, "int32"), State("user_failed", False, "bool"))
     derived = (Port("level_ticks", "int32"), Port("descent_ticks", "int32"))
     params = (*tunables("failsafe.machine"), tunable("failsafe.descent"))
 
@@ -62,9 +62,9 @@ class FailsafeStateMachine(Block):
         held = x.state
         # A state that does not exist counts as none in which motors may turn, and stays until disarmed.
         armed = (held >= int32(FLYING)) & (held <= int32(DESCEND))
-        own_flew = u.own_given & ~x.own_failed & (held == int32(FLYING))
-        stuck_off = armed & u.stuck & ~own_flew
-        failed = u.arm & (x.own_failed | (own_flew & u.stuck))
+        user_flew = u.user_given & ~x.user_failed & (held == int32(FLYING))
+        stuck_off = armed & u.stuck & ~user_flew
+        failed = u.arm & (x.user_failed | (user_flew & u.stuck))
         spent = maximum(x.timer, int32(0)) + int32(1)  # ticks of the action, if this is one more
         acted = (held == int32(LEVEL)) | (held == int32(BRAKE))
         weaker = where(u.brake, int32(BRAKE), where(u.level | failed, int32(LEVEL), int32(FLYING)))
@@ -90,7 +90,7 @@ class FailsafeStateMachine(Block):
             "timer": where(counted, spent, int32(0)),
             "action": where(stopped, int32(ACTIONS.index("off")), state - int32(FLYING)),
             "armed": ~stopped,
-            "own": u.own_given & (state == int32(FLYING)) & ~failed,
+            "user_flies": u.user_given & (state == int32(FLYING)) & ~failed,
             "failed": failed,
             "stopped": stopped,
             "stuck_off": stuck_off,
@@ -101,7 +101,7 @@ class FailsafeStateMachine(Block):
         return {
             "state": where(u.command_lost & ~now["stopped"], int32(OFF), now["state"]),
             "timer": now["timer"],
-            "own_failed": u.arm & (now["failed"] | u.own_lost),
+            "user_failed": u.arm & (now["failed"] | u.user_lost),
         }
 
 
@@ -112,7 +112,7 @@ class Reasons(Block):
     state refused it holds the causes that prevented arming, in flying the warnings without an action (a low battery).
     """
 
-    inputs = ports("state", "mask", "failed", "stuck_off", "own_lost", "command_lost")
+    inputs = ports("state", "mask", "failed", "stuck_off", "user_lost", "command_lost")
     outputs = (Port("reason", "int32"),)
     states = (State("held", 0, "int32"), State("was", DISARMED, "int32"))
 
@@ -120,8 +120,8 @@ class Reasons(Block):
         bits = [
             where(u[name], int32(BIT[cause]), int32(0))
             for name, cause in (
-                ("failed", "own_failed"),
-                ("own_lost", "own_failed"),
+                ("failed", "user_failed"),
+                ("user_lost", "user_failed"),
                 ("stuck_off", "command_stuck"),
                 ("command_lost", "command_lost"),
             )
@@ -135,7 +135,7 @@ class Reasons(Block):
         return where(u.state == int32(DISARMED), int32(0), where(final, x.held, held | now))
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        flown = (u.state == int32(FLYING)) & ~(u.own_lost | u.command_lost)
+        flown = (u.state == int32(FLYING)) & ~(u.user_lost | u.command_lost)
         return {"held": where(flown, int32(0), self.output(u, x, p, t)), "was": u.state}
 
 
