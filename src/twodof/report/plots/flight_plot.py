@@ -32,6 +32,7 @@ _LOOK: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         "true": {"color": "measured", "linewidth": 3.0, "alpha": 0.55, "zorder": 1.8},
         "estimated": {"color": "grey-box", "linewidth": 1.2, "zorder": 2.2},
         "set-point": {"color": "paper", "linewidth": 1.3, "dashes": (4, 1.5), "zorder": 2.0},
+        "expected": {"color": "ink", "linewidth": 1.3, "zorder": 2.4},
         "moment M": {"color": "input", "linewidth": 1.2},
         "thrust T": {"color": "simple", "linewidth": 1.4},
     }
@@ -69,8 +70,9 @@ def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:
     axes[0].set_xlim(*view.span)
     if strips:
         _draw_strips(axes[0], strips, view.span, colours)
+    explained: set[tuple[str, str]] = set()
     for ax, one in zip(axes[bool(strips) :], view.views, strict=True):
-        _draw_view(ax, one, colours)
+        _draw_view(ax, one, colours, explained)
         _draw_background(ax, view, colours)
     axes[-1].set_xlabel(f"{view.clock} [s]")
     canvas.align_ylabels()
@@ -126,7 +128,8 @@ def _paint(strip: str, label: str, colours: Colours) -> tuple[str, float]:
     return (colours["ink"], 0.18) if strip == "excitation" else (colours[_TINT.get(label, "rule")], 0.38)
 
 
-def _draw_view(ax: Axes, view: View, colours: Colours) -> None:
+def _draw_view(ax: Axes, view: View, colours: Colours, explained: set[tuple[str, str]]) -> None:
+    """Draw curves and band, and their legend where the axes above, in `explained`, leave a name or a colour open."""
     quiet(ax)
     ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     ax.set_ylabel(view.label)
@@ -142,7 +145,8 @@ def _draw_view(ax: Axes, view: View, colours: Colours) -> None:
     if not any(np.isfinite(curve.value).any() for curve in view.curves):
         ax.text(0.5, 0.5, "no sample", ha="center", va="center", transform=ax.transAxes, color=colours["soft"])
         ax.set_yticks([])
-    elif any(curve.label for curve in view.curves):
+    elif named := {(str(line.get_label()), str(line.get_color())) for line in ax.lines if line.get_label()} - explained:
+        explained |= named
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(view.curves) + (view.band is not None))
 
 
