@@ -301,7 +301,7 @@ def units_clash(one: WithUnit, other: WithUnit) -> bool:
 
 
 def mismatch(port: WithUnit, given: WithUnit, source: object) -> tuple[str, str] | None:
-    """Return the mismatch between `port` and the signal `given`, of `source`, with a remedy, or None if it fits.
+    """Check a wire: return the mismatch between `port` and the signal `given` of `source` with its remedy, or None.
 
     A signal of an enumeration may feed an int32.
     """

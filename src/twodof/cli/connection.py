@@ -155,10 +155,10 @@ def parameters(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show a drone's parameters, or set some: those that you give act together at one tick, or none does.
+    """Show a drone's parameters, or set several at one tick: all of them, or none.
 
     If your own controller flies there, the paths in its diagram name its parameters too. It takes no lease:
-    gains of a drone that another program flies are tuned in flight, unless that program withholds it. If the drone
+    you can tune the gains of a drone that another program flies, unless that program forbids it. If the drone
     refuses a value or does not know a name: exit status 2, and nothing was changed.
     """
     names, changes = _parsed(wanted or ())
@@ -200,7 +200,7 @@ def _print_loaded(differs: int, missing: Sequence[str]) -> None:
 
 
 def _parsed(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
-    """Return the names to show and the values to set. Raises ParameterError for a value that is not a number."""
+    """Return the names to show and the values to set. Raises ParameterError for a value that cannot be read."""
     names: list[str] = []
     changes: dict[str, float] = {}
     for one in wanted:

@@ -70,9 +70,9 @@ def feedback_gain(loop: LoopTransfer) -> float:
 def worst_motion(loop: LoopTransfer, poles: Complex) -> Motion | None:
     """Return the motion of the least stable pole among those that the feedback moves; None if it moves none.
 
-    The feedback does not move a pole on the border of stability that the open loop has too, such as that of an
-    estimator's bias: the loop does not observe its state, or does not reach it. Each pole of the open loop accounts
-    for one such pole.
+    The feedback cannot move a pole whose state the loop does not observe or does not reach, such as that of an
+    estimator's bias. A pole on the border of stability that the open loop has too counts as such. Each pole of the open
+    loop accounts for one of them.
     """
     s = logarithms(poles, loop.dt)
     fast = 1.0 / loop.dt if loop.dt else max(1.0, float(np.abs(poles).max(initial=0.0)))

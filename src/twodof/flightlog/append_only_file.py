@@ -1,4 +1,4 @@
-"""A file that only grows and survives the end of its writer: one thread writes it, in parts that it acknowledges.
+"""Append-only file of a log: a kill of the writer loses nothing acknowledged. One thread writes it, part by part.
 
 A part is acknowledged when fsync has returned: from then on it is on the disk, and no later part can take it back.
 The producer never waits for the disk unless it asks to; its buffer is bounded, and what does not fit is counted.

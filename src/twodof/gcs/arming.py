@@ -1,4 +1,4 @@
-"""Arming, disarming and the kill of one drone, each confirmed by the drone's heartbeat."""
+"""Arming, disarming and the kill from the ground: MAVLink commands, each confirmed by the drone's heartbeat."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _LAST_WORDS = 3
 _FORCE = 21196
 
 
-class DroneArming:
-    """Arming, disarming and the kill of one drone.
+class ArmingClient:
+    """Client that arms, disarms and kills one drone by MAVLink commands.
 
     `may_be_armed` is True from the first order to arm until a heartbeat confirms that the drone is disarmed.
     """
@@ -43,14 +43,14 @@ class DroneArming:
         self._session.check(self._session.now)
         self.may_be_armed = True
         await self._commands.run("COMPONENT_ARM_DISARM", [1.0], timeout, deadline.doing)
-        await self._watcher.see(lambda state: state.armed, deadline)
+        await self._watcher.wait_until(lambda state: state.armed, deadline)
 
     async def disarm(self, timeout: float) -> None:
         """Stop the set-points, disarm the drone and wait for its confirmation. Raises Rejected, LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, "disarming")
         self._setpoints.stop()
         await self._commands.run("COMPONENT_ARM_DISARM", [0.0], timeout, deadline.doing)
-        await self._watcher.see(lambda state: not state.armed, deadline)
+        await self._watcher.wait_until(lambda state: not state.armed, deadline)
         self.may_be_armed = False
 
     async def kill(self, timeout: float) -> None:
@@ -61,7 +61,7 @@ class DroneArming:
         """End a kill and wait for a heartbeat that confirms it. Raises Rejected, LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, "releasing a kill")
         await self._commands.run("DO_FLIGHTTERMINATION", [0.0], timeout, deadline.doing)
-        await self._watcher.see(lambda state: not state.killed, deadline)
+        await self._watcher.wait_until(lambda state: not state.killed, deadline)
 
     async def leave(self, timeout: float) -> None:
         """Leave the drone disarmed. Raises Timeout, LinkLost if no heartbeat confirms it.

@@ -22,7 +22,7 @@ from twodof.errors import (
 )
 from twodof.excitation import Excitation
 from twodof.gcs.active_controller import ActiveController, read_active_controller
-from twodof.gcs.arming import DroneArming
+from twodof.gcs.arming import ArmingClient
 from twodof.gcs.clock import DroneClock, DroneRestarted
 from twodof.gcs.commands import CommandSender
 from twodof.gcs.discovery import open_link
@@ -75,7 +75,7 @@ class AsyncDrone(DroneView):
         self.logs = AsyncLogs(session)
         self.parameters = AsyncParameters(session, self.files, self.texts)
         self.setpoints = SetpointStream(session, clock, self.watcher, self.commands, self.lease)
-        self.arming = DroneArming(session, self.watcher, self.commands, clock, self.setpoints)
+        self.arming = ArmingClient(session, self.watcher, self.commands, clock, self.setpoints)
         self.exciter = ExcitationPlayer(session, clock)
         self.batches = FullRateSubscription(session, self.commands, BATCH)
         self.rig_truth = FullRateSubscription(session, self.commands, TRUTH)
@@ -338,7 +338,9 @@ class AsyncDrone(DroneView):
         deadline = self.session.deadline(timeout, f"changing to the mode {mode}")
         await self.setpoints.switch(mode, deadline)
         offboard = "offboard needs set-points: set_pitch and the like enter it by themselves"
-        await self.watcher.see(lambda state: state.mode == mode, deadline, offboard if mode == "offboard" else "")
+        await self.watcher.wait_until(
+            lambda state: state.mode == mode, deadline, offboard if mode == "offboard" else ""
+        )
 
     async def level_hold(self, timeout: float = TIMEOUT_S) -> None:
         """Let the drone hold itself level at the thrust THRUST_BAR, without set-points."""

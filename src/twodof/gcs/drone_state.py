@@ -190,7 +190,7 @@ class StateTracker:
         session.on(self._status, "SYS_STATUS")
         self._session = session
 
-    async def see(self, condition: Callable[[DroneState], bool], deadline: Deadline, remedy: str = "") -> None:
+    async def wait_until(self, condition: Callable[[DroneState], bool], deadline: Deadline, remedy: str = "") -> None:
         """Wait until `condition` of the state holds; in lockstep grant tick after tick. Raises Timeout, LinkLost."""
         last = self._clock.tick + _TICKS_FOR_AN_ANSWER
         with self._session.listen("HEARTBEAT") as heard:

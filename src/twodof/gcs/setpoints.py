@@ -189,7 +189,7 @@ class SetpointStream:
         while self._watcher.state.mode not in good:
             try:
                 await self.switch(good[0], deadline)
-                await self._watcher.see(lambda state: state.mode in good, deadline)
+                await self._watcher.wait_until(lambda state: state.mode in good, deadline)
             except Rejected:
                 for name in _MESSAGES:
                     if name in self._commands.refusals:  # waiting does not change such a refusal

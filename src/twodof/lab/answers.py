@@ -161,7 +161,7 @@ def full_disk(error: BaseException) -> DiskFull | None:
 
 
 def without_folders(text: str) -> str:
-    """Return a text with the names of files only, where it has absolute paths: they are the server's own affair."""
+    """Return a text in which absolute paths are shortened to file names, since folders are the server's own affair."""
     return _FOLDERS.sub("", text)
 
 

@@ -17,7 +17,7 @@ def greediest(people: Iterable[str]) -> str:
 
 
 class Turns:
-    """Turns of which `at_once` are held at a time. Then people wait, and one after the other gets a turn.
+    """Queue that lets `at_once` requests run at a time; the others wait, and people get their turns in rotation.
 
     If more than `waiting` requests wait, the latest one of the person with the most is refused. `subject` names what is
     waited for in its error.

@@ -30,7 +30,7 @@ def lqr(
     """Return the LQR gains on the states, on the integral of one output and on the moments within the delay.
 
     They minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 + (M / largest_moment)^2 over the
-    samples: each weight is one over the square of an acceptable value (Bryson's rule), 0 if that is infinite.
+    samples. Each weight is one over the square of an acceptable value (Bryson's rule), 0 if that is infinite.
     `plant` has one input and its states as outputs; `output` is the index of the integrated one. It is sampled every
     4 ms. Its delayed inputs become states, so that the feedback predicts over the delay. See Astrom and Wittenmark,
     Computer-Controlled Systems, sec. 2.3 and 11.4. Raises ParameterError if no feedback stabilises the plant with the

@@ -16,8 +16,8 @@ from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.flight.failsafe.diagram import OutputSelector, SafeSetPoints, StandbyReset
 from twodof.flight.failsafe.flags import (
     BatteryFlags,
+    EstimateFlags,
     ForceConsistency,
-    PlaceFlags,
     RangeConsistency,
     RateConsistency,
     SensorFlags,
@@ -399,7 +399,7 @@ MEANINGS = (
         SUMMED,
     ),
     Meaning(
-        PlaceFlags(),
+        EstimateFlags(),
         {
             "theta": (*edge(0.25, 0.5, 0.75, 1.25), 0.125),
             "q": (0.0, 0.0, 0.0, 2.0, -2.0, 4.0, *edge(8.0)),

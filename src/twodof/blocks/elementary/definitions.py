@@ -196,7 +196,7 @@ def _from(f: Format, halves: int, angle: Any) -> Any:
 
 
 def atan(f: Format, x: Any) -> Any:
-    """Return the arc tangent: for |x| > 1 a quarter turn less that of 1 / |x|, with the sign of x."""
+    """Return the arc tangent; for |x| > 1 it is pi/2 less the arc tangent of 1 / |x|, with the sign of x."""
     a = abs(x)
     steep = a > 1.0
     angle = _angle(f, where(steep, 1.0, a), where(steep, a, 1.0))

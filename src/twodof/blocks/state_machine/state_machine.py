@@ -63,11 +63,11 @@ class Reaction:
             (self.values if name in self.variables else self.outputs)[name] = value
 
     def act(self, mode: Mode, action: str) -> None:
-        """Perform an action of a mode."""
+        """Perform the action "entry", "during" or "exit" of a mode."""
         self.perform(self.graph.action(mode.name, action), mode)
 
     def grow_older(self) -> None:
-        """One more tick in the mode and in the one around it."""
+        """Count one more tick in the mode and in the one around it."""
         for name in (ELAPSED, OUTER_ELAPSED):
             elapsed = self.values[name]
             self.values[name] = where(elapsed < LONGEST, elapsed + 1, LONGEST)

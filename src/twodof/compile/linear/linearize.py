@@ -52,9 +52,9 @@ def linearize(
     common period, with the inputs held over it. Outputs of slower rates that are held at its start are states.
     `keep_all` keeps the states that have no influence or always return to the point's value.
 
-    Raises DiagramError for a diagram that does not compile, or whose rates are due together only every 1000 ticks or
-    more; at a kink, where the diagram is not differentiable; if the model changes with an integer state or the tick;
-    and if no equilibrium is found.
+    Raises DiagramError for a diagram that does not compile, and for one whose common period is over 1000 ticks. Also
+    at a kink, where the diagram is not differentiable, if the model changes with an integer state or the tick, and if
+    no equilibrium is found.
     """
     if time not in TIME:
         raise DiagramError(f"time={time!r} is unknown", diagram.name, f"use one of {', '.join(TIME)}")

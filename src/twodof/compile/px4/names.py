@@ -54,9 +54,9 @@ def module_names(diagram: str, prefix: str = "") -> ModuleNames:
 
     The stem is the diagram's name in small letters, at most LONGEST_STEM long; a longer one ends with a digest. A word
     of one letter joins the one before it, since PX4 makes a topic's name from the capitals of the message's. The
-    default prefix is T, the first letters of the words (or two letters of the only one), and the number at the end of
-    the name, which tells variants of a diagram apart; together at most five characters. Raises DiagramError for a
-    prefix that is not 1 to 5 capitals and digits.
+    default prefix has at most five characters: T, the first letters of the words (or two letters of the only one), and
+    the number at the end of the name, which tells variants of a diagram apart. Raises DiagramError for a prefix that is
+    not 1 to 5 capitals and digits.
     """
     words: list[str] = []
     for word in re.findall(r"[a-z0-9]+", diagram.lower()):

@@ -1,4 +1,4 @@
-"""Arming, disarming and the kill: requests to the failsafe, and its answers."""
+"""Arming, disarming and the kill on board: requests to the failsafe, and its answers."""
 
 from collections.abc import Callable
 

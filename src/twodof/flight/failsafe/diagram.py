@@ -23,9 +23,9 @@ from twodof.flight.declarations import (
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, RequestedActions
 from twodof.flight.failsafe.flags import (
     BatteryFlags,
+    EstimateFlags,
     ForceConsistency,
     OffDelay,
-    PlaceFlags,
     RangeConsistency,
     RateConsistency,
     SensorFlags,
@@ -199,7 +199,7 @@ def _flags(d: Diagram) -> None:
         SensorFlags(),
         inputs={name: name for name in (*IMU, *RANGE, "imu_new", "x", "v", "rings", "arm")},
     )
-    d.add("place", PlaceFlags(), inputs={name: name for name in (*ESTIMATED, "rings")})
+    d.add("place", EstimateFlags(), inputs={name: name for name in (*ESTIMATED, "rings")})
     for name, function in (("sine", "sin"), ("cosine", "cos")):
         d.add(name, Trigonometry(function, input_unit="rad"), u="theta")
     turned = {"sine": "sine", "cosine": "cosine"}

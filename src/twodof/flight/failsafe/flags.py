@@ -132,8 +132,8 @@ class SensorFlags(Block):
         }
 
 
-class PlaceFlags(Block):
-    """Flags of pitch and cart near their stops, and of estimates that cannot be right.
+class EstimateFlags(Block):
+    """Flags of the estimates: pitch and cart near their stops, and estimates that cannot be right.
 
     `pitch_near`: |theta + look_ahead q| above `pitch_limit`, until below it by `pitch_margin`. `pitch_stop`: |theta| >=
     `pitch_end`. `rail_near`: the place where the cart could be stopped, x + v reaction + v |v| / (2 braking), is beyond
@@ -267,14 +267,14 @@ class ForceConsistency(Block):
 
     The estimated pitch (`sine`, `cosine`) turns the specific force into a vertical part and one along the rail, whose
     values are known. Vertical: -g, as the rail holds the drone up. Along the rail: the cart's acceleration, which is 0
-    with the cart locked, else -`pull` T sin(theta) by the tilted thrust and -`drag` v. A remainder means a fault: the
-    gyro does not follow the drone (a pitch error d leaves g d, or g d less the thrust's share), an accelerometer is
-    wrong, or the cart is pressed against an end of the rail or has just hit it.
+    with the cart locked, else -`pull` T sin(theta) by the tilted thrust and -`drag` v. A remainder means a fault. Then
+    the gyro does not follow the drone, an accelerometer is wrong, or the cart hits or presses against an end of the
+    rail. A pitch error d leaves g d, less the thrust's share.
 
     The sums are unexplained speeds [m/s]. The slack along the rail is `along_slack` plus the share `pull_share` of the
     thrust's part, as a sagging battery pulls less. With the cart locked the limit is twice as high: the same pitch
-    error leaves twice as much, and the cart rattles in the play of the rings. A second pair of sums, of more slack and
-    a lower limit, sees the few samples of an impact on an end of the rail; it is for a free cart only.
+    error leaves twice as much, and the cart rattles in the play of the rings. A second pair of sums, `hit_...`, has
+    more slack and a lower limit. It detects the few samples of an impact on an end of the rail, for a free cart only.
 
     `speed` is the speed that pull and drag alone give the cart.
     """
@@ -317,12 +317,12 @@ class ForceConsistency(Block):
 class RangeConsistency(Block):
     """Check of the measured range against the motion that pitch and thrust cause.
 
-    `speed` is that motion, made without the accelerometer. It is integrated to a place, which is taken when a range
-    sample is believed (`range_taken`), so that both have the same delay. Place and range pass the same high-pass,
-    (s / (s + `band`))^3, as the start, a tilted rail and the trim are unknown. Their distance at two samples in a row,
-    the smaller one, less `slack` and the share `share` of the expected motion, is summed up to `limit`: the range has
-    stepped, or stays where the cart moves. Nothing is summed before the first sample, while disarmed, or with the cart
-    locked.
+    `speed` is that motion, computed without the accelerometer. It is integrated to a place, which is sampled when a
+    range sample is accepted (`range_taken`), so that both have the same delay. Place and range pass the same high-pass,
+    (s / (s + `band`))^3, as the start, a tilted rail and the trim are unknown. The distance between them is the smaller
+    one of two samples in a row, less `slack` and the share `share` of the expected motion. When its sum reaches
+    `limit`, the range has stepped, or stays while the cart moves. Nothing is summed before the first sample, while
+    disarmed, or with the cart locked.
     """
 
     inputs = (Port("speed", unit="m/s"), *ports("dist"), Port("range_taken", "bool"), *ports("arm", "rings"))
@@ -374,9 +374,10 @@ class RangeConsistency(Block):
 class RateConsistency(Block):
     """Check of the gyro against the angular acceleration that the motors' commands cause.
 
-    Expected is `turn` (lift(fore) - lift(aft)) with lift(u) = (1 - `curve`) u + `curve` u^2, behind one lag `answer`
-    for the rotors' delay and lag, less `swing` times the `sine` of the pitch by gravity. Another change of the gyro's
-    rate means that the gyro is stuck, a rotor does not follow its command, or the drone has hit an end stop.
+    The expected acceleration is `turn` (lift(fore) - lift(aft)) with lift(u) = (1 - `curve`) u + `curve` u^2. One lag
+    `answer` stands for the rotors' delay and lag; gravity takes away `swing` times the `sine` of the pitch. Another
+    change of the gyro's rate means that the gyro is stuck, a rotor does not follow its command, or the drone has hit an
+    end stop.
 
     The sums are unexplained rates [rad/s]. The slack is `turn_slack`, plus the share `turn_share` of the expected
     acceleration, plus the acceleration still within the lag, whose arrival is known to a few milliseconds only.

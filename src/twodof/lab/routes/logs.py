@@ -213,7 +213,7 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
 
 @router.post("/{name}", openapi_extra=RAW, dependencies=[takes(MOST_UPLOADED)])
 async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any]:
-    """Upload a log as the file's bytes. It is read first; a file of which nothing can be read is refused."""
+    """Upload a log as the file's bytes. It is read first; a file without a readable sample is refused."""
     lab.logs.check_new(name)
     with lab.logs.scratch() as folder:
         path = FilePath(folder) / name

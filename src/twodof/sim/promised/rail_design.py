@@ -107,10 +107,10 @@ def rail_design(
 ) -> RailDesign:
     """Search for gains of the stock velocity and position loops that meet `specification`, starting from `kept`.
 
-    A simplex (Nelder and Mead, 1965) minimises the largest miss, first of bandwidths and margins of the estimated
-    model, then of the step that `members` of the family fly, the same for all gains, as `rail_promise` draws them with
-    `seed`. The position's gain is kept if nothing is asked of its loop. `progress` is called with the share done, and
-    may raise to end the search. Raises ParameterError if nothing is asked, and as `rail_promise`.
+    A simplex (Nelder and Mead, 1965) minimises the largest miss: first of bandwidths and margins of the estimated
+    model, then of the flown step. `members` of the family fly it, the same ones for all gains, which `rail_promise`
+    draws with `seed`. The position's gain is kept if nothing is asked of its loop. `progress` is called with the share
+    done, and may raise to end the search. Raises ParameterError if nothing is asked, and as `rail_promise`.
     """
     linear, flown = specification.of_loops, specification.of_step
     if linear is None and flown is None:
