@@ -38,7 +38,7 @@ COMMANDS = MappingProxyType(
         "fcu": ("fcu", "Run a virtual drone: rig and flight controller, reached over MAVLink."),
         "replay": ("simulate", "Feed a log's inputs to the compiled flight code and compare its outputs."),
         "log": ("log", "Look into flight logs and convert them."),
-        "calibrate": ("log", "Calibrate the virtual rig on the real drone's logs."),
+        "calibrate": ("simulate", "Calibrate the virtual rig on the real drone's logs."),
         "companion": ("companion", "Route MAVLink between the flight controller and clients; run an app on board."),
         "drones": ("connection", "List the drones that can be heard, and where to connect to them."),
         "parameters": ("connection", "See and set what can be tuned on a drone, in flight too."),

@@ -3,14 +3,16 @@
 import importlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from twodof.cli.options import option
-from twodof.experiment.flight import Flight
 from twodof.flightlog.files import check_place, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.report.plots.flight_view import SUFFIXES, FlightView, flight_view
 from twodof.report.plots.flight_view import check_place as check_plot
+
+if TYPE_CHECKING:
+    from twodof.experiment.flight import Flight
 
 Out = Annotated[Path | None, option("Write the flight's log (.mat, .mcap, .parquet, .csv, .ulg).")]
 Plot = Annotated[Path | None, option(f"Draw the flight into a picture or a page ({', '.join(SUFFIXES)}).", "FILE")]
@@ -24,7 +26,7 @@ def check_places(out: Path | None, plot: Path | None, force: bool) -> None:
         check_plot(plot, force)
 
 
-def keep(flight: Flight, rig: str, out: Path | None, plot: Path | None, force: bool) -> dict[str, Any]:
+def keep(flight: "Flight", rig: str, out: Path | None, plot: Path | None, force: bool) -> dict[str, Any]:
     """Write and draw the flight as the options ask; return its part of --json."""
     name = flight.experiment.name
     if out is not None:
@@ -43,7 +45,7 @@ def keep(flight: Flight, rig: str, out: Path | None, plot: Path | None, force: b
     }
 
 
-def check_lines(flight: Flight, *written: Path | None) -> list[str]:
+def check_lines(flight: "Flight", *written: Path | None) -> list[str]:
     """Return the checks of a flight's data and the files that were written."""
     checks = [f"  {'ok    ' if one.passed else 'FAILED'} {one.name}: {one.seen}" for one in flight.checks]
     return [*checks, *(f"written: {path}" for path in filter(None, written))]

@@ -7,23 +7,20 @@ from typing import Annotated, Any
 
 from rich.console import RenderableType
 
-from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
-from twodof.calibrate import calibrate as calibrate_rig
 from twodof.cli.flown import draw, write_view
 from twodof.cli.options import Force, Json, argument, flag, group, option
-from twodof.cli.output import exit_unless, one_line, print_json, print_result, progress, table, table_console
+from twodof.cli.output import exit_unless, one_line, print_json, print_result, table, table_console
 from twodof.errors import LogError
 from twodof.flightlog.atomic import check_free
 from twodof.flightlog.contents import describe
-from twodof.flightlog.files import check_folder, read_log
 from twodof.flightlog.files import convert as convert_log
+from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mcap_file import recover as recover_log
 from twodof.flightlog.public_data import FOREIGN_FILES, PUBLIC_LOGS, find
 from twodof.report.plots.comparison_view import Align, common_steps, comparison_view, flight_steps, step_rows
 from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
 from twodof.report.step_responses import SETTLED, FlownStep
-from twodof.rig.parameters import save_rig
 from twodof.signals import BY_MAT
 
 log = group("Look into flight logs and convert them.")
@@ -256,60 +253,3 @@ def fetch(
             table_console().print(f"{name}: {found[name]}")
     if json:
         print_json({name: str(path) for name, path in found.items()})
-
-
-def calibrate(
-    data: Annotated[Path | None, option("Folder of the logs; default: found.", "FOLDER")] = None,
-    leave_one_out: Annotated[
-        bool, flag("Also predict each flight from all others, and say what gusts leave of it.", "--leave-one-out")
-    ] = False,
-    out: Annotated[Path | None, option("Write the rig as JSON, for `--rig FILE`.")] = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Calibrate the virtual rig on the logs of the real drone; exit status 1 if the search did not converge."""
-    if out is not None:
-        check_folder(out, force)  # before minutes of search
-    folder = _folder() if data is None else data
-    with progress() as report:
-        found = calibrate_rig(folder, leave_one_out, report)
-    if out is not None:
-        save_rig(found.rig, out, force)
-    fits = {"fit_percent": found.fit, "left_out_fit_percent": found.left_out, "ceiling_fit_percent": found.ceiling}
-    document = {
-        "converged": found.converged,
-        "rig": dict(found.rig.snapshot()),
-        "estimate": {name: {"value": value, "sigma": found.deviation[name]} for name, value in found.estimate.items()},
-        **{key: {name: dict(row) for name, row in rows.items()} for key, rows in fits.items()},
-        "file": None if out is None else str(out),
-    }
-    print_result(json, document, _calibration_lines(found, out))
-    exit_unless(found.converged)
-
-
-def _folder() -> Path:
-    folders = {find(name).parent for name in FLIGHTS}
-    if len(folders) > 1:
-        raise LogError(
-            "the public logs lie in several folders", ", ".join(map(str, sorted(folders))), "name one with --data"
-        )
-    return folders.pop()
-
-
-def _calibration_lines(found: Calibration, out: Path | None) -> Iterator[RenderableType]:
-    values = table("unknown", "value", "1 sigma", "meaning")
-    for unknown in UNKNOWNS:
-        value, sigma = found.estimate[unknown.name], found.deviation[unknown.name]
-        values.add_row(unknown.name, f"{value:.5g}", f"{sigma:.2g}", unknown.text)
-    yield values
-    fits = table("flight", "theta", "q", "x", "v", "")
-    for name in FLIGHTS:
-        for word, fit in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
-            if name in fit:
-                row = fit[name]
-                fits.add_row(name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)
-    yield "\nFIT, %:"
-    yield fits
-    yield "converged" if found.converged else "NOT converged: the best set seen is given"
-    if out is not None:
-        yield f"written: {out}"

@@ -1,4 +1,4 @@
-"""`twodof simulate`: fly a ready-made experiment, or a log's set-points, on a virtual rig."""
+"""`twodof simulate`, `replay` and `calibrate`: flights on the virtual rig, beside logs of the real one."""
 
 import math
 from collections.abc import Iterator
@@ -7,24 +7,26 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import RenderableType
 
 from twodof.blocks import Diagram
-from twodof.calibrate import estimate_charge
+from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration, estimate_charge
+from twodof.calibrate import calibrate as calibrate_rig
 from twodof.cli.flown import Out, Plot, check_lines, check_places, keep
-from twodof.cli.options import Force, Json, Precision, RealType, Rig, argument, option
-from twodof.cli.output import exit_unless, one_line, print_result, say_line, table
-from twodof.errors import ParameterError
+from twodof.cli.options import Force, Json, Precision, RealType, Rig, argument, flag, option
+from twodof.cli.output import exit_unless, one_line, print_result, progress, say_line, table
+from twodof.errors import LogError, ParameterError
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.experiments import experiment as named_experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
-from twodof.flightlog.files import read_log
+from twodof.flightlog.files import check_folder, read_log
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
+from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog, find
 from twodof.report.plots.flight_view import failsafe_bands
-from twodof.rig.parameters import load_rig
+from twodof.rig.parameters import load_rig, save_rig
 from twodof.sim.flight_segment import FlownParameters
 from twodof.sim.replay import replay as replay_log
 from twodof.sim.resimulation import LoggedFlight, resimulation_loop
@@ -249,3 +251,60 @@ def replay(
     windows = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
     last = f"{precision}, gains {gains}; compared: {windows or 'nothing, no loop was active'}"
     print_result(json, result.to_json(), [rows, last])
+
+
+def calibrate(
+    data: Annotated[Path | None, option("Folder of the logs; default: found.", "FOLDER")] = None,
+    leave_one_out: Annotated[
+        bool, flag("Also predict each flight from all others, and say what gusts leave of it.", "--leave-one-out")
+    ] = False,
+    out: Annotated[Path | None, option("Write the rig as JSON, for `--rig FILE`.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Calibrate the virtual rig on the logs of the real drone; exit status 1 if the search did not converge."""
+    if out is not None:
+        check_folder(out, force)  # before minutes of search
+    folder = _folder() if data is None else data
+    with progress() as report:
+        found = calibrate_rig(folder, leave_one_out, report)
+    if out is not None:
+        save_rig(found.rig, out, force)
+    fits = {"fit_percent": found.fit, "left_out_fit_percent": found.left_out, "ceiling_fit_percent": found.ceiling}
+    document = {
+        "converged": found.converged,
+        "rig": dict(found.rig.snapshot()),
+        "estimate": {name: {"value": value, "sigma": found.deviation[name]} for name, value in found.estimate.items()},
+        **{key: {name: dict(row) for name, row in rows.items()} for key, rows in fits.items()},
+        "file": None if out is None else str(out),
+    }
+    print_result(json, document, _calibration_lines(found, out))
+    exit_unless(found.converged)
+
+
+def _folder() -> Path:
+    folders = {find(name).parent for name in FLIGHTS}
+    if len(folders) > 1:
+        raise LogError(
+            "the public logs lie in several folders", ", ".join(map(str, sorted(folders))), "name one with --data"
+        )
+    return folders.pop()
+
+
+def _calibration_lines(found: Calibration, out: Path | None) -> Iterator[RenderableType]:
+    values = table("unknown", "value", "1 sigma", "meaning")
+    for unknown in UNKNOWNS:
+        value, sigma = found.estimate[unknown.name], found.deviation[unknown.name]
+        values.add_row(unknown.name, f"{value:.5g}", f"{sigma:.2g}", unknown.text)
+    yield values
+    fits = table("flight", "theta", "q", "x", "v", "")
+    for name in FLIGHTS:
+        for word, fit in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
+            if name in fit:
+                row = fit[name]
+                fits.add_row(name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)
+    yield "\nFIT, %:"
+    yield fits
+    yield "converged" if found.converged else "NOT converged: the best set seen is given"
+    if out is not None:
+        yield f"written: {out}"

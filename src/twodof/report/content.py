@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.identify.estimate import Estimate
+if TYPE_CHECKING:
+    from twodof.identify.estimate import Estimate
 
 Array = NDArray[np.float64]
 # Each role of a line has its own colour and stroke, the same in every figure.
@@ -127,7 +128,7 @@ class Subject:
     text: str
     rows: Sequence[ParameterRow]
     figures: Sequence[Figure] = ()
-    fits: Mapping[str, Estimate] = field(default_factory=dict)
+    fits: Mapping[str, "Estimate"] = field(default_factory=dict)
     doubts: Sequence[str] = ()
 
 

@@ -1,5 +1,7 @@
 """Common parts of all figures: the colours of the design, fonts, axes, files, and inline SVG in the page's colours."""
 
+from __future__ import annotations
+
 import functools
 import io
 import re
@@ -7,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -19,10 +21,12 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
 from twodof.flightlog.atomic import atomic_write
-from twodof.identify.validate import Correlation
 from twodof.report.content import Figure, FigureBand, LineRole, Panel, ParameterRow, Span, Subject
 from twodof.report.plots.flight_view import PICTURES, SUFFIXES, check_place
 from twodof.report.wording import fill, text
+
+if TYPE_CHECKING:
+    from twodof.identify.validate import Correlation
 
 _BOTH = re.compile(r"--([\w-]+): light-dark\((#\w+), (#\w+)\);")
 _ONE = re.compile(r"--([\w-]+): (#\w+);")
