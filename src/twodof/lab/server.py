@@ -201,7 +201,7 @@ def _listening(settings: LabSettings) -> socket.socket:
     """Return a listening socket. Raises LinkError with the remedy."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     where = f"http://{settings.host}:{settings.port}"
-    made = socket.socket(family, socket.SOCK_STREAM)
+    made = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # asyncio sets TCP_NODELAY for it
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         # Rows in the kernel's buffer for a slow client are stale: a small buffer is enough.

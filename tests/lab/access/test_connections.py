@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import select
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -103,6 +104,19 @@ def test_watchers_leave_the_commander_a_socket(server: Served) -> None:
         assert (code, why) == (1013, "2 clients are connected already")
         with server.socket(COMMAND) as ours:
             assert ours.event("session")["role"] == "command"
+
+
+def test_a_small_answer_comes_at_once(server: Served) -> None:
+    """A client acknowledges after 40 ms; an answer's body must not wait for that of its head."""
+    times = []
+    with closing(http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)) as kept:
+        for _ in range(30):
+            began = time.monotonic()
+            kept.request("GET", "/api/session", headers={"Authorization": f"Bearer {COMMAND}"})
+            assert kept.getresponse().read()
+            times.append(time.monotonic() - began)
+            time.sleep(0.01)
+    assert sorted(times[10:])[5] < 0.03
 
 
 MANY = {f"k{k}": 1 for k in range(300)}
