@@ -17,7 +17,7 @@ def made_up(converged: bool) -> Calibration:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("twodof.cli.log.calibrate_rig", lambda folder, leave, report: made_up(True))
+    monkeypatch.setattr("twodof.cli.simulate.calibrate_rig", lambda folder, leave, report: made_up(True))
     return tmp_path
 
 
@@ -37,7 +37,7 @@ def test_people_read_unknowns_and_fits(folder: Path, shell: Shell) -> None:
 
 
 def test_a_search_without_convergence_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
-    monkeypatch.setattr("twodof.cli.log.calibrate_rig", lambda folder, leave, report: made_up(False))
+    monkeypatch.setattr("twodof.cli.simulate.calibrate_rig", lambda folder, leave, report: made_up(False))
     assert "NOT converged" in shell(["calibrate", "--data", str(tmp_path)], 1).out
 
 

@@ -94,7 +94,7 @@ def test_an_export_into_a_foreign_folder_is_refused(tmp_path: Path) -> None:
 
 # Command with its option for a file, the suffix of that file, and the function that does its work and must not begin.
 WORK = (
-    ("calibrate --out", ".mat", "twodof.cli.log.calibrate_rig"),
+    ("calibrate --out", ".mat", "twodof.cli.simulate.calibrate_rig"),
     ("demo --out", ".html", "twodof.cli.demo.fly_series"),
     ("diagram render stock-attitude --out", ".svg", "twodof.cli.diagram.to_svg"),
     ("diagram code stock-attitude --out", ".mat", "twodof.cli.diagram.emit_program"),
