@@ -45,7 +45,7 @@ class Script:
             ),
         )
 
-    def seen(self, step: ControlStep) -> None:
+    def after_step(self, step: ControlStep) -> None:
         """Keeps it."""
         self.steps.append(step)
 

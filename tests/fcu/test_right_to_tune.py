@@ -48,7 +48,7 @@ SAFETY = {
 async def test_only_who_commands_changes_what_is_not_for_tuning() -> None:
     async with VirtualDrone("paper", lockstep=True, controllers=["lqr-attitude"]) as drone:
         store, commander = drone.assembly.store, drone.commander
-        assert commander.lease.ask(ME).accepted
+        assert commander.lease.request(ME).accepted
         before = dict(store)
         put(drone, OTHER[0], **SAFETY)
         assert dict(store) == before
@@ -66,7 +66,7 @@ def test_the_gains_of_the_loops_are_what_is_for_tuning() -> None:
 def test_the_holder_is_told_who_has_tuned_what() -> None:
     commander = Cockpit().commander
     commander.lease.tuned(OTHER, "RATE_KP = 0.06")  # nobody holds it
-    assert commander.lease.ask(ME).accepted
+    assert commander.lease.request(ME).accepted
     commander.lease.tuned(ME, "RATE_KP = 0.07")
     assert commander.remarks == []
     commander.lease.tuned(OTHER, "RATE_KP = 0.08")

@@ -100,8 +100,9 @@ class AttitudeLoop(Block):
 class RateLoop(Block):
     """The PID of the pitch rate: M = Kp e + integral of Ki e + Kd derivative, e = q0 - q, within +-limit.
 
-    The derivative is (z - 1) / ((1/N + Ts) z - 1/N); `in_reset` resets the integral alone. It has no anti-windup and
-    no feed-forward. `proportional`, `integral`, `derivative` and `increment` (of the integral) are for log and replay.
+    The derivative's filter is (z - 1) / ((1/N + Ts) z - 1/N); `in_reset` resets the integral alone. There is no
+    anti-windup and no feed-forward. `proportional`, `integral`, `derivative` and `increment` (of the integral) are for
+    log and replay.
     """
 
     inputs = ports("q0", "q", "in_reset")

@@ -89,9 +89,9 @@ class Cockpit:
         """Time passes; what was asked in the last tick."""
         for _ in range(ticks):
             for source in self.talking:
-                self.commander.lease.hear(source, True)
+                self.commander.lease.note_frame(source, True)
             step = self.failsafe.step(self.tick, self.commander.control_input(self.tick))
-            self.commander.seen(step)
+            self.commander.after_step(step)
             self.steps.append(step)
             self.tick += 1
         return self.steps[-1].asked

@@ -165,7 +165,7 @@ def test_asking_again_and_again_does_not_wait_for_longer() -> None:
     for tick in range(2, 60):
         if cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS:
             cockpit.commander.control_input(tick)
-            cockpit.commander.seen(cockpit.failsafe.step(tick, ControlInput()))  # deaf
+            cockpit.commander.after_step(cockpit.failsafe.step(tick, ControlInput()))  # deaf
         if cockpit.commander.arming.answer.result == MavResult.FAILED:
             break
     assert tick < 30
@@ -205,15 +205,15 @@ class Said:
 
 def test_what_the_failsafe_says_before_it_was_asked_is_no_answer() -> None:
     arming = alone()
-    assert arming.pull(10).result == MavResult.IN_PROGRESS
+    assert arming.request(10).result == MavResult.IN_PROGRESS
     for state in (FLYING, LEVEL, REFUSED_BY_FAILSAFE):
-        arming.speak(9)
-        assert not arming.word
-        arming.seen(Said(9, state))
+        arming.update_input(9)
+        assert not arming.arm_input
+        arming.read_answer(Said(9, state))
         assert arming.pending
-    arming.speak(10)
-    assert arming.word
-    arming.seen(Said(10, FLYING))
+    arming.update_input(10)
+    assert arming.arm_input
+    arming.read_answer(Said(10, FLYING))
     assert arming.answer.accepted
 
 
@@ -228,21 +228,21 @@ def test_what_the_failsafe_says_before_it_was_asked_is_no_answer() -> None:
 )
 def test_its_refusal_is_told_in_its_words(reason: int, causes: int, words: str) -> None:
     arming = alone()
-    arming.pull(0)
-    arming.speak(0)
-    arming.seen(Said(0, REFUSED_BY_FAILSAFE, reason, causes))
-    assert (arming.answer, arming.word) == (rejected(words), False)
+    arming.request(0)
+    arming.update_input(0)
+    arming.read_answer(Said(0, REFUSED_BY_FAILSAFE, reason, causes))
+    assert (arming.answer, arming.arm_input) == (rejected(words), False)
 
 
 def test_it_is_waited_for_a_tenth_of_a_second() -> None:
     arming = alone()
-    arming.pull(100)
+    arming.request(100)
     for tick in range(100, 125):
-        arming.speak(tick)
-        arming.seen(Said(tick))
-        assert (arming.pending, arming.word) == (True, True)
-    arming.seen(Said(125))
-    assert (arming.answer, arming.word) == (failed("not armed: the flight code did not answer"), False)
+        arming.update_input(tick)
+        arming.read_answer(Said(tick))
+        assert (arming.pending, arming.arm_input) == (True, True)
+    arming.read_answer(Said(125))
+    assert (arming.answer, arming.arm_input) == (failed("not armed: the flight code did not answer"), False)
 
 
 # Disarming and the kill.

@@ -50,7 +50,7 @@ def test_armed_it_lasts_while_its_holder_is_heard_and_three_seconds_more() -> No
     assert standing(cockpit.commander) == (ME, 1, 1)
     cockpit.run()
     assert cockpit.commander.lease.holder is None
-    assert cockpit.commander.lease.ask(OTHER).accepted
+    assert cockpit.commander.lease.request(OTHER).accepted
 
 
 def test_the_times_are_those_of_the_page() -> None:
@@ -58,17 +58,17 @@ def test_the_times_are_those_of_the_page() -> None:
     assert (COMMANDING, HEARD, LONGEST, FRESH, HORIZON, CAPACITY) == (500, 750, 7500, 125, 15_000, 256)
     assert (PATIENCE, MOST_GRANTED, MOST_EFFORT) == (25, 25_000, 1e8)
     commander = Cockpit(talking=()).commander
-    assert commander.lease.ask(ME).accepted
+    assert commander.lease.request(ME).accepted
     assert commander.lease.left == COMMANDING
 
 
 def test_every_change_of_holder_is_counted() -> None:
     cockpit = Cockpit(talking=())
-    cockpit.commander.lease.ask(ME, 4)
+    cockpit.commander.lease.request(ME, 4)
     assert cockpit.commander.lease.revision == 1
     cockpit.commander.lease.give_up(ME)
     assert cockpit.commander.lease.revision == 2
-    cockpit.commander.lease.ask(OTHER, 4)
+    cockpit.commander.lease.request(OTHER, 4)
     cockpit.run(5)
     assert standing(cockpit.commander) == (None, 0, 4)
     assert cockpit.commander.remarks == [(6, "nobody holds the lease any more")]
@@ -78,7 +78,7 @@ def test_asked_for_it_lasts_its_time_and_half_a_minute_at_most() -> None:
     cockpit = Cockpit(talking=())
     cockpit.run(2)
     for asked_ms, ticks in ((10_000, 2500), (0, COMMANDING), (1, 1), (2**32 - 1, LONGEST)):
-        assert cockpit.commander.lease.ask(ME, asked_ms).accepted
+        assert cockpit.commander.lease.request(ME, asked_ms).accepted
         assert cockpit.commander.lease.left == ticks
     cockpit.run(LONGEST - 1)
     assert cockpit.commander.lease.holder == ME
@@ -94,8 +94,8 @@ def test_in_lockstep_the_time_that_its_holder_grants_does_not_end_it_in_flight()
 
 def test_its_holder_goes_on_with_it_however_long_time_stood() -> None:
     commander = Cockpit(lockstep=True).commander
-    assert commander.lease.ask(ME, 30_000).accepted
-    commander.lease.stands(10 * HEARD)
+    assert commander.lease.request(ME, 30_000).accepted
+    commander.lease.note_standstill(10 * HEARD)
     assert standing(commander) == (ME, 0, 1)
     assert commander.lease.take(ME).accepted
     assert standing(commander) == (ME, LONGEST, 1)
@@ -104,10 +104,10 @@ def test_its_holder_goes_on_with_it_however_long_time_stood() -> None:
 def test_before_anybody_is_heard_there_is_no_link_and_what_was_heard_counts_for_a_tick() -> None:
     cockpit = Cockpit(talking=())
     assert not cockpit.run().link_new
-    cockpit.commander.lease.hear(COMPANION, True)
-    cockpit.commander.lease.hear((2, 1), False)  # another vehicle, after it
+    cockpit.commander.lease.note_frame(COMPANION, True)
+    cockpit.commander.lease.note_frame((2, 1), False)  # another vehicle, after it
     assert cockpit.run().link_new
-    cockpit.commander.lease.hear(COMPANION, True)
+    cockpit.commander.lease.note_frame(COMPANION, True)
     cockpit.commander.restart()
     assert not cockpit.commander.control_input(0).link_new
 
@@ -126,16 +126,16 @@ def test_a_script_without_a_component_commands_like_another() -> None:
 
 def test_the_link_is_the_holders_and_with_no_holder_any_clients() -> None:
     cockpit = Cockpit(talking=())
-    cockpit.commander.lease.hear(OTHER, True)
+    cockpit.commander.lease.note_frame(OTHER, True)
     assert cockpit.run().link_new
     assert not cockpit.run().link_new
-    cockpit.commander.lease.hear((2, 1), False)  # another vehicle
+    cockpit.commander.lease.note_frame((2, 1), False)  # another vehicle
     assert not cockpit.run().link_new
-    cockpit.commander.lease.ask(ME, 10_000)
+    cockpit.commander.lease.request(ME, 10_000)
     cockpit.run()
-    cockpit.commander.lease.hear(OTHER, True)
+    cockpit.commander.lease.note_frame(OTHER, True)
     assert not cockpit.run().link_new
-    cockpit.commander.lease.hear(ME, True)
+    cockpit.commander.lease.note_frame(ME, True)
     assert cockpit.run().link_new
 
 
@@ -146,7 +146,7 @@ def test_a_pilot_that_fell_silent_in_flight_is_not_replaced_by_who_only_listens(
     assert cockpit.commander.remarks[-1] == (4, "nobody holds the lease any more")
     assert not any(linked[1:])  # the failsafe's timer runs out
     cockpit.talking = ()
-    cockpit.commander.lease.ask(OTHER, 10_000)
+    cockpit.commander.lease.request(OTHER, 10_000)
     assert cockpit.run().link_new
     assert not cockpit.run().link_new
     cockpit.commander.set_mode(OTHER, modes.HOLD)
@@ -159,7 +159,7 @@ def test_a_pilot_that_gave_up_in_flight_is_not_replaced_by_who_only_listens_eith
     cockpit.talking = (ME, OTHER)
     cockpit.run()
     assert not any(cockpit.run().link_new for _ in range(2 * HEARD))
-    cockpit.commander.lease.ask(OTHER, 10_000)
+    cockpit.commander.lease.request(OTHER, 10_000)
     assert cockpit.run().link_new
 
 
@@ -184,23 +184,23 @@ def test_nobody_is_missed_once_the_failsafe_has_stopped_the_motors() -> None:
     assert cockpit.commander.lease.give_up(ME).accepted
     cockpit.talking = ()
     cockpit.run(2)
-    cockpit.commander.lease.hear(COMPANION, True)
+    cockpit.commander.lease.note_frame(COMPANION, True)
     assert cockpit.run().link_new
 
 
 def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() -> None:
     """`stands` counts real time without a grant of the holder; a frame of the holder resets the count."""
-    for take in (lambda one: one.lease.ask(OTHER), lambda one: one.lease.take(OTHER)):
+    for take in (lambda one: one.lease.request(OTHER), lambda one: one.lease.take(OTHER)):
         cockpit = armed(talking=(), lockstep=True)
         commander = cockpit.commander
         for ahead in (3, 5):
             commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + ahead)
-        commander.lease.stands(HEARD - 1)
-        commander.lease.hear(ME, True)
-        commander.lease.stands(HEARD - 1)
+        commander.lease.note_standstill(HEARD - 1)
+        commander.lease.note_frame(ME, True)
+        commander.lease.note_standstill(HEARD - 1)
         assert commander.lease.left == 1
         assert not take(commander).accepted
-        commander.lease.stands(1)
+        commander.lease.note_standstill(1)
         assert standing(commander) == (ME, 0, 1)
         assert take(commander).accepted
         assert (commander.lease.holder, commander.lease.revision) == (OTHER, 2)
@@ -237,7 +237,7 @@ class TwoClients(RuleBasedStateMachine):
     @rule(source=st.sampled_from(CLIENTS), ms=st.sampled_from([0, 4, 400, 5000, 2**32 - 1]))
     def ask(self, source: Source, ms: int) -> None:
         may = self._may(source)
-        verdict = self.commander.lease.ask(source, ms)
+        verdict = self.commander.lease.request(source, ms)
         assert verdict.accepted == may
         self._checked(source, may, verdict.accepted)
         if may:

@@ -351,7 +351,7 @@ def test_heartbeats_numbers_follow_the_failsafe() -> None:
 def test_a_restart_forgets_all_but_the_lease() -> None:
     cockpit = offboard(talking=())
     commander = cockpit.commander
-    commander.lease.ask(ME, 20_000)
+    commander.lease.request(ME, 20_000)
     commander.arming.disarm(ME)
     cockpit.run()
     left = commander.lease.left
@@ -420,7 +420,7 @@ def test_a_link_that_is_lost_speaks_against_arming_until_somebody_is_heard() -> 
     cockpit.failsafe.causes = BIT["link_lost"]
     cockpit.run(3)
     assert cockpit.commander.system_status == modes.UNREADY
-    cockpit.commander.lease.hear(ME, True)
+    cockpit.commander.lease.note_frame(ME, True)
     assert cockpit.commander.system_status == modes.STANDBY
     cockpit.run()
     assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS

@@ -36,7 +36,7 @@ def test_what_waits_is_forgotten_with_the_lease_and_does_not_act_when_its_sender
     cockpit = offboard()
     cockpit.commander.setpoint(ME, PITCHED, cockpit.tick + 10)
     assert cockpit.commander.lease.give_up(ME).accepted
-    assert cockpit.commander.lease.ask(ME).accepted
+    assert cockpit.commander.lease.request(ME).accepted
     assert cockpit.run(20).theta0 == 0.0
     assert cockpit.commander.refused[RefusalReason.LEASE] == 1
 
@@ -51,7 +51,7 @@ def test_an_excitation_that_waits_is_refused_when_its_starter_loses_the_lease_ev
         REFUSED,
         "who started it has lost the lease",
     )
-    assert commander.lease.ask(ME).accepted
+    assert commander.lease.request(ME).accepted
     assert all(cockpit.run().M_open == 0.0 for _ in range(20))
 
 

@@ -95,7 +95,7 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     f"excitation refused: {WHO} the lease ": (lambda: ready().commander.excitation.start(OTHER, 7, 0), REJECTED),
     f"excitation refused: {WHO} the lease  ": (lambda: ready().commander.excitation.stop(OTHER), REJECTED),
     f"command refused: {WHO} the lease": (lambda: armed().commander.lease.take(OTHER), REJECTED),
-    f"lease refused: {WHO} it": (lambda: armed().commander.lease.ask(OTHER), REJECTED),
+    f"lease refused: {WHO} it": (lambda: armed().commander.lease.request(OTHER), REJECTED),
     f"lease not given up: {WHO} it": (lambda: armed().commander.lease.give_up(OTHER), REJECTED),
     "lease not given up: nobody holds it": (lambda: on_the_ground().commander.lease.give_up(ME), REJECTED),
     "command refused: the sender's MAVLink system is 0": (
@@ -103,7 +103,7 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
         MavResult.DENIED,
     ),
     "lease refused: the sender's MAVLink system is 0": (
-        lambda: on_the_ground().commander.lease.ask((0, 0)),
+        lambda: on_the_ground().commander.lease.request((0, 0)),
         MavResult.DENIED,
     ),
     # Arming.
@@ -219,7 +219,7 @@ def test_a_start_that_is_refused_marks_the_excitation_that_it_names_and_no_other
 
 def test_a_stick_that_is_refused_keeps_nobody_from_arming() -> None:
     cockpit = on_the_ground()
-    cockpit.commander.lease.ask(ME)
+    cockpit.commander.lease.request(ME)
     cockpit.commander.sticks(ME, 0.0, 0.0)
     assert not cockpit.commander.sticks(OTHER, 0.5, 0.5).accepted
     cockpit.commander.set_mode(ME, modes.ATTITUDE)

@@ -86,7 +86,7 @@ def test_in_real_time_it_is_written_out_beside_the_loop() -> None:
     for _ in patiently():  # it takes a millisecond
         if READY in states(desk):
             break
-        desk.commander.lease.hear(ME, True)
+        desk.commander.lease.note_frame(ME, True)
         desk.run()
     desk.say(start())
     assert [desk.run().M_open for _ in range(250)] == list(VALUES)

@@ -17,7 +17,7 @@ PATIENCE = 25
 class ArmingControl:
     """Arming of the drone under conditions, and its disarming and kill by any sender.
 
-    `word` is the arm input of the flight code, `answer` the result of the last request to arm. `killed_by` is the
+    `arm_input` is the arm input of the flight code, `answer` the result of the last request to arm. `killed_by` is the
     sender of a kill, None without one. A kill keeps the drone disarmed, over disarmings and resets, until it is
     released. `unfit` returns a further reason against arming, "" if there is none.
     """
@@ -30,14 +30,14 @@ class ArmingControl:
         unfit: Callable[[], str],
         killed_by: Source | None = None,
     ) -> None:
-        self.word = False
+        self.arm_input = False
         self.killed_by = killed_by
         self.answer = DONE
         self._vehicle = vehicle
         self.setpoints = setpoints
         self.lease = lease
         self._unfit = unfit
-        self._from = 0
+        self._request_tick = 0
 
     @property
     def pending(self) -> bool:
@@ -47,11 +47,11 @@ class ArmingControl:
     @property
     def flies(self) -> bool:
         """Return whether the drone is armed and no disarming is requested: only then a set-point acts."""
-        return self._vehicle.armed and self.word
+        return self._vehicle.armed and self.arm_input
 
     @property
-    def missing(self) -> int | None:
-        """Return the mask of the failsafe's causes against arming, without a link that is alive; None before a step."""
+    def causes_against(self) -> int | None:
+        """Return the mask of causes against arming (`link_lost` only if the link is silent); None before a step."""
         step = self._vehicle.step
         if step is None:
             return None
@@ -70,26 +70,26 @@ class ArmingControl:
             return self.answer
         if self.flies:
             return DONE
-        if self.word and repeated:
+        if self.arm_input and repeated:
             return rejected("not armed: the failsafe has stopped the motors, arm again")
         if against := self.obstacles():
             return rejected(f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
-        return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
+        return self.request(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
 
     def disarm(self, source: Source) -> CommandResult:
         """Stop the motors in the next tick, on request of any source: on this rig that is the safe state."""
         if self.lease.holder == source:
             self.lease.take(source)  # which renews it
-        self.withdraw()
-        self.setpoints.rest("disarmed", self._vehicle.now)
+        self.cancel()
+        self.setpoints.clear("disarmed", self._vehicle.now)
         return DONE
 
     def kill(self, source: Source) -> CommandResult:
         """Stop the motors in the next tick, on request of any source, and keep the drone disarmed until `release`."""
         self.killed_by = source
-        self.withdraw()
-        self.setpoints.rest("killed", self._vehicle.now)
+        self.cancel()
+        self.setpoints.clear("killed", self._vehicle.now)
         self._vehicle.remark(MavSeverity.CRITICAL, f"killed by system {source[0]}, component {source[1]}")
         return DONE
 
@@ -101,42 +101,42 @@ class ArmingControl:
             self._vehicle.remark(MavSeverity.WARNING, f"released by system {source[0]}, component {source[1]}")
         return result
 
-    def stand(self, why: str, tick: int) -> None:
+    def stop_motors(self, why: str, tick: int) -> None:
         """Stop the motors at `tick` without a command, and tell the clients `why`."""
-        self.withdraw()
-        self.setpoints.rest(why, tick)
+        self.cancel()
+        self.setpoints.clear(why, tick)
         self._vehicle.remark(MavSeverity.CRITICAL, why)
 
-    def pull(self, tick: int) -> CommandResult:
-        """Ask the failsafe to arm at `tick`. It acts on a rising edge of `word`, which is False until then."""
-        self._from = tick
-        self.word = False
+    def request(self, tick: int) -> CommandResult:
+        """Ask the failsafe to arm at `tick`. It acts on a rising edge of `arm_input`, which is False until then."""
+        self._request_tick = tick
+        self.arm_input = False
         self.answer = CommandResult(MavResult.IN_PROGRESS)
         return self.answer
 
-    def speak(self, tick: int) -> None:
-        """Set `word` once its tick has come; called before each tick while an answer is pending."""
-        self.word = tick >= self._from
+    def update_input(self, tick: int) -> None:
+        """Set `arm_input` once its tick has come; called before each tick while an answer is pending."""
+        self.arm_input = tick >= self._request_tick
 
-    def withdraw(self) -> None:
-        """Clear `word`; a pending arming fails."""
-        self.word = False
+    def cancel(self) -> None:
+        """Clear `arm_input`; a pending arming fails."""
+        self.arm_input = False
         if self.pending:
             self.answer = failed("disarmed before it had armed")
 
-    def seen(self, step: ControlStep) -> None:
+    def read_answer(self, step: ControlStep) -> None:
         """Read the failsafe's answer from a step; called after each tick while one is pending."""
-        if step.tick < self._from:
+        if step.tick < self._request_tick:
             return
         if step.state in MAY_TURN:
             self.answer = DONE
         elif step.state == REFUSED:
-            self.word = False
-            # Without a cause only what lingers (`level_lasts`, `brake_lasts` of the failsafe) speaks against it.
+            self.arm_input = False
+            # Without a cause the failsafe refuses since `level_lasts` or `brake_lasts` is not over.
             causes = ", ".join(named_causes(step.reason or step.causes)) or "it levelled or braked a moment ago"
             self.answer = rejected(f"not armed: {causes}")
-        elif step.tick >= self._from + PATIENCE:
-            self.word = False
+        elif step.tick >= self._request_tick + PATIENCE:
+            self.arm_input = False
             self.answer = failed("not armed: the flight code did not answer")
 
     def obstacles(self) -> str:
@@ -148,8 +148,8 @@ class ArmingControl:
         if self.killed_by is not None:
             system, component = self.killed_by
             return f"killed by system {system}, component {component}: release it first (twodof kill --release)"
-        # After a stop some causes last until it is disarmed, as a request to arm does: the failsafe judges then.
-        causes = 0 if self.word else self.missing
+        # After a stop some causes last until the drone is disarmed, and a request to arm disarms it first.
+        causes = 0 if self.arm_input else self.causes_against
         if causes is None:
             return "no sensor has sent a sample yet"
         if not rig.safety_off:

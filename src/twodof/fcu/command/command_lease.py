@@ -113,9 +113,9 @@ class CommandLease:
     frames of other clients do not keep the link alive, because the drone has no pilot.
 
     With `granted` (lockstep) the holder grants the time that passes, so the link is alive in every tick. While time
-    stands still (`stands`), a dead holder would keep the lease for ever. So another client may take it after `HEARD`
-    ticks of standing time without a frame of the holder. Until then nothing changes: a flight must not depend on how
-    long a client thinks.
+    stands still (`note_standstill`), a dead holder would keep the lease for ever. So another client may take it after
+    `HEARD` ticks of standing time without a frame of the holder. Until then nothing changes: a flight must not depend
+    on how long a client thinks.
 
     `tuning_withheld`: only the holder may change parameters.
     """
@@ -146,7 +146,7 @@ class CommandLease:
         left = self._end() - self._vehicle.now
         return max(0, min(left, HEARD - self._stood) if self._stood else left)
 
-    def hear(self, source: Source, is_client: bool) -> None:
+    def note_frame(self, source: Source, is_client: bool) -> None:
         """Note a frame of `source`. The holder's frames keep the link alive; without a holder, those of any client.
 
         `is_client`: the source is a ground station or a companion, not a vehicle.
@@ -183,7 +183,7 @@ class CommandLease:
         if self.holder not in (None, source):
             self._vehicle.remark(MavSeverity.INFO, f"{what}, by system {source[0]}, component {source[1]}")
 
-    def ask(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
+    def request(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
         """Take or renew the lease for `duration_ms`, 30 s at most (0: 2 s); refuse it while another client holds it.
 
         `withhold_tuning`: other clients may not change parameters until the lease ends or is renewed without it.
@@ -202,7 +202,7 @@ class CommandLease:
         self._free()
         return DONE
 
-    def pass_tick(self) -> None:
+    def begin_tick(self) -> None:
         """Begin a tick: earlier frames no longer count for the link, and the lease may end."""
         self._link_heard = False
         if self._granted:
@@ -212,7 +212,7 @@ class CommandLease:
             severity = MavSeverity.WARNING if self.orphaned else MavSeverity.INFO
             self._vehicle.remark(severity, "nobody holds the lease any more")
 
-    def stands(self, ticks: int) -> None:
+    def note_standstill(self, ticks: int) -> None:
         """Note real time, in ticks, that passed in lockstep without a grant."""
         self._stood = min(self._stood + ticks, HEARD)
 

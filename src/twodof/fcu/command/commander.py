@@ -188,31 +188,31 @@ class Commander:
             return modes.UNREADY
         if self.armed:
             return modes.CRITICAL if self._vehicle.step.action else modes.ACTIVE
-        return modes.UNREADY if self.arming.missing else modes.STANDBY
+        return modes.UNREADY if self.arming.causes_against else modes.STANDBY
 
     def control_input(self, tick: int) -> ControlInput:
         """Return the input of the flight code at `tick`; to be called once a tick, before its step."""
         vehicle, setpoints, arming = self._vehicle, self._setpoints, self.arming
         vehicle.now = tick + 1
         link = self.lease.link_alive
-        if not vehicle.rig.safety_off and (arming.word or arming.pending):
-            arming.stand("safety switch: motors off", tick)
+        if not vehicle.rig.safety_off and (arming.arm_input or arming.pending):
+            arming.stop_motors("safety switch: motors off", tick)
         if arming.pending:
-            arming.speak(tick)
+            arming.update_input(tick)
             setpoints.changed = True
         setpoints.take_due(tick, arming.flies)
         if setpoints.player.begins <= tick:
             self.excitation.begin(tick)
-        self.lease.pass_tick()
+        self.lease.begin_tick()
         if setpoints.changed or link is not self._input.link_new:
-            self._input = setpoints.control_input(tick, arming.word, link)
+            self._input = setpoints.control_input(tick, arming.arm_input, link)
         return self._input
 
-    def seen(self, step: ControlStep) -> None:
+    def after_step(self, step: ControlStep) -> None:
         """Note a step of the flight code; to be called once a tick, after the step."""
         self._vehicle.step = step
         if self.arming.pending:
-            self.arming.seen(step)
+            self.arming.read_answer(step)
             self._setpoints.changed = True
         if step.state != self._vehicle.failsafe:
             self._failsafe_changed(step)
@@ -248,14 +248,14 @@ class Commander:
         setpoint: SetPoint,
         at_tick: int = 0,
         kind: str = TARGET,
-        said: OpenLoopState | None = None,
+        message: OpenLoopState | None = None,
     ) -> CommandResult:
         """Accept a set-point, which acts in the next tick or, if that is later, at `at_tick`.
 
         It is refused and counted if a number is not finite, if it moves a locked cart, if too many wait, or if `source`
         may not command. In a mode that does not fly it, it is kept for offboard.
 
-        `said` is the open-loop message from which it was made.
+        `message` is the open-loop message from which it was made.
         """
         if not setpoint.sound:
             return self.refuse(RefusalReason.INVALID, "a number is not finite")
@@ -265,8 +265,8 @@ class Commander:
         if not result.accepted:
             self.refused[result.reason] += 1
         elif at_tick <= self._vehicle.now:
-            self._setpoints.take(setpoint, kind, self._vehicle.now, self.arming.flies, said)
-        elif at_tick > self._vehicle.now + HORIZON or not self._setpoints.queue(at_tick, setpoint, kind, said):
+            self._setpoints.take(setpoint, kind, self._vehicle.now, self.arming.flies, message)
+        elif at_tick > self._vehicle.now + HORIZON or not self._setpoints.queue(at_tick, setpoint, kind, message):
             return self.refuse(RefusalReason.QUEUE, "too many wait, or its time is more than a minute ahead")
         return result
 
@@ -288,8 +288,8 @@ class Commander:
         else:
             setpoint = SetPoint(ATTITUDE, theta0=0.0, thrust=thrust)
         used = M if enableM else 0.0, T if enableT else 0.0
-        said = OpenLoopState(0, *used, openloop, enableM, enableT) if openloop else None
-        return self.setpoint(source, setpoint, at_tick, OPENLOOP, said)
+        message = OpenLoopState(0, *used, openloop, enableM, enableT) if openloop else None
+        return self.setpoint(source, setpoint, at_tick, OPENLOOP, message)
 
     def sticks(self, source: Source, pitch: float, thrust: float) -> CommandResult:
         """Carry out MANUAL_CONTROL: pitch stick, forward 1 and back -1, and thrust 0 to 1, as the mode reads them."""
@@ -304,10 +304,10 @@ class Commander:
 
     def _hand_over(self) -> None:
         """Forget set-points sent ahead and a pending arming, as the lease has changed hands."""
-        if waited := self._setpoints.forget_ahead("who started it has lost the lease"):
+        if waited := self._setpoints.drop_waiting("who started it has lost the lease"):
             self.refused[RefusalReason.LEASE] += waited
         if self.arming.pending:
-            self.arming.withdraw()
+            self.arming.cancel()
 
     def refuse(self, reason: RefusalReason, text: str) -> CommandResult:
         """Count a refused set-point, and return the answer."""
@@ -326,8 +326,8 @@ class Commander:
             vehicle.remark(MavSeverity.INFO, "failsafe: over, it flies what is asked again")
         if vehicle.armed and not step.armed:
             self.lease.orphaned = False  # the motors stand: nobody is missed any more
-            if self.arming.word:  # else a command has disarmed it, and what came since is for the next flight
-                self._setpoints.rest(f"the motors were stopped: {reasons}", vehicle.now)
+            if self.arming.arm_input:  # else a command has disarmed it, and what came since is for the next flight
+                self._setpoints.clear(f"the motors were stopped: {reasons}", vehicle.now)
                 vehicle.remark(MavSeverity.CRITICAL, f"failsafe: motors off ({reasons})")
         elif step.armed and not vehicle.armed:
             self._setpoints.armed(vehicle.now)

@@ -90,25 +90,25 @@ _LONG_AGO = -10 * FRESH
 
 
 class SetpointManager:
-    """The mode, the set-point in use, those that are kept for offboard or wait for their tick, and the player.
+    """Mode and set-points of the drone: the one in use, the target kept for offboard, and the queue of later ones.
 
-    `changed` is True if `control_input` may return something else than the last time.
+    `player` plays an excitation. `changed` is True if `control_input` may return another value than the last time.
     """
 
     def __init__(self, openloop_revision: int = 0) -> None:
         self.custom_mode = modes.MANUAL
         self.player = OnboardPlayer()
-        self.values = ControlInput()  # none but while armed: nothing of before flies
+        self.values = ControlInput()  # set-point in use; empty while disarmed, so an old one never flies
         self.openloop = OpenLoopState(revision=openloop_revision)
         self.changed = True
         # Set-points that wait for a tick, in its order, with their kinds; those of one tick as they came.
         self._queue: list[tuple[int, SetPoint, str, OpenLoopState | None]] = []
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
-        self._fresh = False  # one came for the next tick
-        self._offer = NOTHING  # what messages have asked for since the mode was entered, for offboard
-        self._offered = _LONG_AGO
-        self._said: OpenLoopState | None = None  # the open-loop message that the offer came of
-        self._latest = ControlInput()  # what would fly in this mode, were the drone armed
+        self._fresh = False  # a set-point came for the next tick
+        self._target = NOTHING  # of all messages since the mode was entered, for offboard
+        self._target_tick = _LONG_AGO
+        self._target_message: OpenLoopState | None = None  # the open-loop message from which the target was made
+        self._latest = ControlInput()  # set-point that would fly in this mode if the drone were armed
         self._latest_at = _LONG_AGO
         self._stick = 0.0, 0.0  # where pitch and thrust were held last
         self._stick_at = _LONG_AGO
@@ -120,7 +120,7 @@ class SetpointManager:
 
     def streamed(self, tick: int) -> bool:
         """Return whether set-points have been coming above 2 Hz."""
-        return tick - self._offered <= FRESH
+        return tick - self._target_tick <= FRESH
 
     def asks(self, tick: int) -> bool:
         """Return whether fresh set-points ask something of the motors, in a mode in which that prevents arming."""
@@ -130,31 +130,31 @@ class SetpointManager:
     def armed(self, tick: int) -> None:
         """Begin to fly the streamed set-point after the drone has armed in offboard."""
         if self.rule.streamed and self.streamed(tick):
-            self._use(self.values.with_setpoint(self._offer), tick, self._said)
+            self._use(self.values.with_setpoint(self._target), tick, self._target_message)
 
-    def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, said: OpenLoopState | None = None) -> None:
-        """Let a set-point act now, or keep it for offboard. `said` is the open-loop message from which it was made."""
+    def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, message: OpenLoopState | None = None) -> None:
+        """Let a set-point act now, or keep it for offboard. `message` is the open-loop message that it comes from."""
         if kind != STICKS:
-            self._offered, self._said = tick, said
-            self._offer = setpoint.after(self._offer)
+            self._target_tick, self._target_message = tick, message
+            self._target = setpoint.after(self._target)
         if kind not in self.rule.acts:
             return
         self._latest, self._latest_at = self._latest.with_setpoint(setpoint), tick
         if armed and not self.player.playing:
-            self._use(self.values.with_setpoint(setpoint), tick, said)
+            self._use(self.values.with_setpoint(setpoint), tick, message)
 
-    def queue(self, tick: int, setpoint: SetPoint, kind: str, said: OpenLoopState | None = None) -> bool:
+    def queue(self, tick: int, setpoint: SetPoint, kind: str, message: OpenLoopState | None = None) -> bool:
         """Keep a set-point until `tick`; return False if too many wait."""
         if len(self._queue) >= CAPACITY:
             return False
-        insort(self._queue, (tick, setpoint, kind, said), key=itemgetter(0))
+        insort(self._queue, (tick, setpoint, kind, message), key=itemgetter(0))
         return True
 
     def take_due(self, tick: int, armed: bool) -> None:
         """Let the set-points act that waited for `tick` or an earlier one."""
         while self._queue and self._queue[0][0] <= tick:
-            _, setpoint, kind, said = self._queue.pop(0)
-            self.take(setpoint, kind, tick, armed, said)
+            _, setpoint, kind, message = self._queue.pop(0)
+            self.take(setpoint, kind, tick, armed, message)
 
     def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
         """Change the mode. If armed, the next tick flies level hold or, in offboard, the set-point kept for it."""
@@ -163,26 +163,26 @@ class SetpointManager:
         self.custom_mode = custom_mode
         streams = self.rule.streamed
         self._on_board, self.changed = False, True
-        self._hear_anew()
+        self._forget_latest()
         if armed and custom_mode == modes.HOLD:
             self._use(self.values._replace(mode=ATTITUDE, theta0=0.0, thrust=level_thrust), tick, on_board=True)
         elif armed and streams:
-            self._use(self.values.with_setpoint(self._offer), tick, self._said)
+            self._use(self.values.with_setpoint(self._target), tick, self._target_message)
         if not streams:
-            self._offer = NOTHING  # what was asked for in an offboard of before is not what is flown now
+            self._target = NOTHING  # a target of an earlier offboard must not fly now
 
     def hold_stick(self, pitch: float, thrust: float, tick: int) -> None:
         """Note the stick's position at `tick`."""
         self._stick, self._stick_at = (pitch, thrust), tick
 
-    def forget_ahead(self, why: str) -> int:
+    def drop_waiting(self, why: str) -> int:
         """Forget set-points that wait or are kept for offboard, as another client steers; the one in use flies on.
 
         Return the number that waited. A waiting excitation is refused with the reason `why`.
         """
         waited = len(self._queue)
         self._queue.clear()
-        self._offer, self._said, self._offered = NOTHING, None, _LONG_AGO
+        self._target, self._target_message, self._target_tick = NOTHING, None, _LONG_AGO
         self._latest, self._latest_at, self._stick_at = ControlInput(), _LONG_AGO, _LONG_AGO
         if self.player.waiting:
             self.player.finish(REFUSED, why)
@@ -201,16 +201,16 @@ class SetpointManager:
         self._use(flown, tick, on_board=True)
         player.begin()
 
-    def rest(self, why: str, tick: int) -> None:
+    def clear(self, why: str, tick: int) -> None:
         """Clear set-points, queue and excitation because the motors have stopped; `why` is for the excitation."""
         if self.player.playing or self.player.waiting:
             self.player.finish(STOPPED, why)
         self.values = ControlInput()
-        self._hear_anew()
-        self._offer = NOTHING
+        self._forget_latest()
+        self._target = NOTHING
         self._on_board, self._fresh, self.changed = False, False, True
         self._queue.clear()
-        self._say(None, tick)
+        self._note_openloop(None, tick)
 
     def control_input(self, tick: int, arm: bool, link_new: bool) -> ControlInput:
         """Return the input of the flight code at `tick`."""
@@ -221,11 +221,11 @@ class SetpointManager:
         mode = values.flown if arm else OFF
         use_trim = mode == OPEN_LOOP and values.thrust > 0.0
         new = self._fresh or self._on_board
-        # One that is quiet follows a fresh one; a player changes it at every tick, and once more at its end.
+        # After a fresh input comes one without news; a player changes it at every tick, and once more at its end.
         self.changed, self._fresh = self._fresh or self.player.playing, False
         return values._replace(mode=mode, arm=arm, use_trim=use_trim, setpoint_new=new, link_new=link_new)
 
-    def _hear_anew(self) -> None:
+    def _forget_latest(self) -> None:
         """Clear the latest set-point in a new mode; a held stick gives it again with its next message."""
         self._latest, self._latest_at = ControlInput(), _LONG_AGO
         if STICKS in self.rule.acts:
@@ -233,14 +233,16 @@ class SetpointManager:
             self._latest = self._latest.with_setpoint(held)
             self._latest_at = self._stick_at
 
-    def _use(self, values: ControlInput, tick: int, said: OpenLoopState | None = None, on_board: bool = False) -> None:
+    def _use(
+        self, values: ControlInput, tick: int, message: OpenLoopState | None = None, on_board: bool = False
+    ) -> None:
         self.values, self._on_board = values, on_board
         self._fresh = self.changed = True
-        self._say(said, tick)
+        self._note_openloop(message, tick)
 
-    def _say(self, said: OpenLoopState | None, tick: int) -> None:
+    def _note_openloop(self, message: OpenLoopState | None, tick: int) -> None:
         """Note the open-loop message in use; None for a closed loop."""
         before = self.openloop
-        now = (said or OpenLoopState())._replace(tick=before.tick, revision=before.revision)
+        now = (message or OpenLoopState())._replace(tick=before.tick, revision=before.revision)
         if now != before:
             self.openloop = now._replace(tick=tick, revision=before.revision + 1)

@@ -84,7 +84,7 @@ class ControlInputSource(Protocol):
     """Source of the flight code's input, which sees each step and restarts at 0: the commander."""
 
     def control_input(self, tick: int) -> ControlInput: ...
-    def seen(self, step: ControlStep) -> None: ...
+    def after_step(self, step: ControlStep) -> None: ...
     def restart(self) -> None: ...
 
 
@@ -154,7 +154,7 @@ class FlightController:
                     "controller paused on the ground, it is tried again by itself" if pauses else "controller stopped"
                 )
                 self.remarks.append((MavSeverity.WARNING, f"{what}: {self._fault}"))
-        self.commander.seen(step)
+        self.commander.after_step(step)
         self.bus.publish(step)
         return step
 

@@ -114,16 +114,16 @@ class LeaseService(Service):
                 self._vehicles[sender] = None
                 if len(self._vehicles) > MOST_VEHICLES:
                     self._vehicles.popitem(last=False)
-        self._lease.hear(sender, sender not in self._vehicles)
+        self._lease.note_frame(sender, sender not in self._vehicles)
         return super().handle(received)
 
     def idle(self) -> None:
-        self._lease.stands(IDLE_TICKS)
+        self._lease.note_standstill(IDLE_TICKS)
 
     def _act(self, received: Received) -> None:
         got, sender, lease = received.message, source(received), self._lease
         if got.action == ASK:
-            result = lease.ask(sender, got.duration_ms, bool(got.tuning_withheld))
+            result = lease.request(sender, got.duration_ms, bool(got.tuning_withheld))
         elif got.action == GIVE_UP:
             result = lease.give_up(sender)
         else:

@@ -222,7 +222,7 @@ class LogStreamService(Service):
         if stream is not None:
             self._sender.stop(stream.peer)
         self._stream = stream = LogStreamClient(command.peer, command.source, self._log.path)
-        self._log.begin_anew()
+        self._log.start_new_log()
         self._log.start()
         self._sender.start(stream.peer, self._messages(stream))
         return DONE

@@ -182,7 +182,7 @@ class ChangeDetector:
         self._told = -FLAG_TICKS
         self._before: dict[int, tuple[Any, ...]] = {}
 
-    def seen(self, step: ControlStep) -> list[int]:
+    def changed_by(self, step: ControlStep) -> list[int]:
         """Return the ids of the messages whose content changes in this step."""
         found = [TOF] if step.sample.dist_new else []
         safety = (step.action, step.state, step.armed, step.reason, self._commander.arming.killed_by)
@@ -245,7 +245,7 @@ class StreamService(Service):
         telemetry, packed = self._telemetry, dict[int, Any]()
         telemetry.observe(step)
         due = [stream for stream in self._streams.values() if stream.due == tick]
-        for number in self._changes.seen(step):
+        for number in self._changes.changed_by(step):
             served = {peer for stream in due if stream.number == number for peer in stream.peers}
             for peer, intervals in self._intervals.items():
                 interval = intervals.get(number, STOPPED)

@@ -115,7 +115,7 @@ class OnboardLogger:
         """End the logging that `start` began."""
         self._put(lambda writer: writer.request(False))
 
-    def begin_anew(self) -> None:
+    def start_new_log(self) -> None:
         """Log into a new file from here on; does not wait."""
         self._put(LogWriter.end)
 
