@@ -27,7 +27,7 @@ from twodof.compile import build
 from twodof.errors import TwodofError
 from twodof.slx.importer import import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab.evaluation import assigned_names
+from twodof.slx.matlab.parser import assigned_names
 from twodof.slx.matlab.script import read_workspace
 from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model

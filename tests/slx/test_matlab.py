@@ -13,7 +13,8 @@ from scipy.io import savemat
 from tests import toolchains
 from tests.patience import PATIENCE_S
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import assigned_names, evaluate
+from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.parser import assigned_names
 from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import Value, number
 
@@ -219,6 +220,13 @@ def test_a_parameter_object_counts_as_its_value() -> None:
 
 def test_an_assignment_to_nothing_names_nothing() -> None:
     assert assigned_names("= 3; k = 4;\nif = 2") == {"k"}
+
+
+def test_a_script_may_end_with_a_word_and_skips_a_block_whole(tmp_path: Path) -> None:
+    (tmp_path / "first.m").write_text("a = 1;\nfigure")
+    names: dict[str, object] = {}
+    assert [one.line for one in run("try\n b = 2;\nend\nif none, c = 3; end\nfirst", names, [tmp_path])] == [1, 4]
+    assert sorted(names) == ["a"]
 
 
 def test_what_is_not_computed_leaves_nothing_behind() -> None:

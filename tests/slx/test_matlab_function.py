@@ -272,6 +272,7 @@ end
         (INDICES, [REAL, VECTOR, MATRIX]),
         (FUNCTIONS, [REAL, VECTOR]),
         (EARLY, [REAL]),
+        ("function y = f(u)\nerror = u - 1; hold = u * 2;\ny = error + hold;\nend\n", [REAL]),
         (BITS, [Signal("uint8"), Signal("uint8"), Signal("uint16"), Signal("int32")]),
     ],
     ids=[
@@ -285,6 +286,7 @@ end
         "indices",
         "functions",
         "early",
+        "names of statements",
         "bits",
     ],
 )

@@ -14,7 +14,7 @@ from tests.slx.files import parts, slx, written
 from twodof.cli.slx import slx as command
 from twodof.slx.difference import difference
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab.evaluation import assigned_names, names_in
+from twodof.slx.matlab.parser import assigned_names, names_in
 from twodof.slx.model import Model, Pin, read_model
 from twodof.slx.picture import pin_points, sheet_name, sheet_svg
 

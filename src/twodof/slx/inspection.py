@@ -12,7 +12,7 @@ from pathlib import Path
 
 from twodof.errors import DiagramError
 from twodof.slx.dictionary import dictionary, enumerations
-from twodof.slx.matlab.evaluation import assigned_names, names_in
+from twodof.slx.matlab.parser import assigned_names, names_in
 from twodof.slx.matlab.values import FUNCTIONS
 from twodof.slx.model import (
     Model,

@@ -8,15 +8,14 @@ structure and `list` for a cell array.
 """
 
 import math
-import re
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from twodof.errors import DiagramError
 from twodof.flightlog import fence
+from twodof.slx.matlab.parser import Tree, expression_of
 from twodof.slx.matlab.signals import OPERATORS as SIGNAL_OPERATORS
 from twodof.slx.matlab.signals import SIGNAL_FUNCTIONS, of_signals
 from twodof.slx.matlab.values import (
@@ -29,13 +28,13 @@ from twodof.slx.matlab.values import (
     as_array,
     bounded,
     indexed,
+    is_empty,
     is_signal,
     joined,
     lowered,
     number,
     numeric,
     scalar,
-    stored,
 )
 
 MOST_STEPS = 50_000
@@ -43,43 +42,15 @@ PRODUCTS_A_STEP = 50_000
 """Rows by columns by the fewer of both that a matrix may have to count as one operation: inv(m) takes about as many."""
 MOST_ON_SIGNALS = 200_000
 """Most operations on elements of signals: each becomes one of the program."""
-DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
-
-_TOKEN = re.compile(
-    r"""(?P<space>(?:[ \t]|\.\.\.[^\n]*\n)+)|(?P<comment>[%\#][^\n]*)
-      |(?P<whole>0[xX][0-9a-fA-F]{1,16})|(?P<number>(?:\d+(?:\.(?![*/\\^'])\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?)
-      |(?P<name>[A-Za-z]\w*)|(?P<operator>\.\^|\.\*|\./|\.\\|\.'|==|~=|!=|<=|>=|&&|\|\||[-+*/\\^'<>=&|~!:;,()\[\]{}.@])
-      |(?P<text>"(?:[^"\n]|"")*")|(?P<line>\r?\n)""",
-    re.VERBOSE,
-)
-_QUOTED = re.compile(r"'((?:[^'\n]|'')*)'")
-BLOCK_COMMENT = re.compile(r"^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", re.MULTILINE | re.DOTALL)
-_BINARY = (("||",), ("&&",), ("|",), ("&",), ("<", "<=", ">", ">=", "==", "~=", "!="), (":",), ("+", "-"))
-_PRODUCTS = ("*", "/", "\\", ".*", "./", ".\\")
-_KEYWORDS = {"if", "elseif", "else", "for", "parfor", "while", "switch", "case", "try", "catch", "function", "end"}
-SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold"}
-"""Statements that change no value: skipped without a word."""
-
-
-@dataclass(frozen=True)
-class Token:
-    """A word, number, text, operator or line end of a script."""
-
-    kind: str
-    text: str
-    line: int
-    spaced: bool
-    """Whether white space stands before it."""
 
 
 def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression") -> Value:
     """Return the value of an expression. Raises DiagramError, with the name that is missing or what is not computed."""
     try:
-        parser = EvaluatingParser(tokens_of(text), Evaluation(dict(workspace)))
-        value = parser.expression()
-        parser.skip(";", "line")
-        if parser.here.kind != "end":
-            raise NotComputed(f"'{parser.here.text}' is not expected")
+        tree, excess = expression_of(text)
+        value = Evaluator(Evaluation(dict(workspace))).value(tree)
+        if excess:
+            raise NotComputed(f"'{excess}' is not expected")
     except NotComputed as reason:
         raise DiagramError(f"{text.strip()[:80]}: {reason}", where, "give a constant or a --workspace file") from None
     return value
@@ -91,92 +62,6 @@ def script_text(data: bytes, where: str) -> fence.Answer:
         return data.decode("utf-8-sig"), []
     except UnicodeDecodeError:
         return data.decode("latin-1"), []
-
-
-def tokens_of(text: str) -> list[Token]:
-    """Return the tokens of a script. Raises NotComputed for a character that none begins with."""
-    found: list[Token] = []
-    at, line, spaced = 0, 1, False
-    while at < len(text):
-        before = found[-1] if found else None
-        operand = before is not None and (
-            before.kind in ("name", "number", "text") or before.text in (")", "]", "}", "'", ".'")
-        )
-        quoted = _QUOTED.match(text, at)
-        if quoted is not None and not (operand and not spaced):
-            found.append(Token("text", quoted[1].replace("''", "'"), line, spaced))
-            at, spaced = quoted.end(), False
-            continue
-        match = _TOKEN.match(text, at)
-        if match is None:
-            raise NotComputed(f"line {line}: the character {text[at]!r} is not read")
-        kind, said = match.lastgroup or "", match[0]
-        at = match.end()
-        if kind in ("space", "comment"):
-            spaced = spaced or kind == "space"
-            line += said.count("\n")
-            continue
-        if kind == "text":
-            said = said[1:-1].replace('""', '"')
-        found.append(Token(kind, said, line, spaced))
-        line += kind == "line"
-        spaced = False
-    return [*found, Token("end", "the end", line, False)]
-
-
-def next_statement(tokens: list[Token], at: int) -> int:
-    """Return the place after the statement at `at`: an `if` or a loop with all that belongs to it."""
-    depth = blocks = 0
-    while tokens[at].kind != "end":
-        token = tokens[at]
-        depth += (token.text in "([{" and token.kind == "operator") - (token.text in ")]}" and token.kind == "operator")
-        if token.kind == "name" and depth == 0:
-            blocks += token.text in ("if", "for", "while", "switch", "try", "function", "parfor")
-            blocks -= token.text == "end"
-        if blocks <= 0 and (
-            token.kind == "line" or (depth <= 0 and token.text in (";", ",") and token.kind == "operator")
-        ):
-            return at + 1
-        at += 1
-    return at
-
-
-def assigned_by(tokens: list[Token]) -> set[str]:
-    """Return the names that statements give a value: those left of each `=`, in `[a, b] = ...` several."""
-    names: set[str] = set()
-    start = depth = 0
-    for at, token in enumerate(tokens):
-        operator = token.text if token.kind == "operator" else ""
-        depth += (operator in ("(", "[", "{")) - (operator in (")", "]", "}"))
-        if depth == 0 and (token.kind == "line" or operator in (";", ",") or token.text in _KEYWORDS):
-            start = at + 1
-        elif depth == 0 and operator == "=":
-            target = tokens[start:at]
-            several = bool(target) and target[0].text == "["
-            before = [None, *target][: len(target)]
-            found = [
-                t.text for t, b in zip(target, before, strict=True) if t.kind == "name" and (not b or b.text != ".")
-            ]
-            names.update(found if several else found[:1])
-    return names
-
-
-def names_in(text: str) -> list[str]:
-    """Return the names in an expression, of `p.gains.Kp` the first; none where it cannot be read."""
-    try:
-        tokens = tokens_of(text)
-    except NotComputed:
-        return []
-    pairs = zip(tokens, [None, *tokens], strict=False)
-    return [t.text for t, before in pairs if t.kind == "name" and (before is None or before.text != ".")]
-
-
-def assigned_names(code: str) -> set[str]:
-    """Return the names that a script gives a value; none where it cannot be read."""
-    try:
-        return assigned_by(tokens_of(code))
-    except NotComputed:
-        return set()
 
 
 @dataclass
@@ -228,266 +113,104 @@ def _operations(name: str, values: Sequence[Value]) -> float:
     return sizes[0] * b.shape[1] if name == "*" else sum(sizes)
 
 
-class EvaluatingParser:
-    """A parser that computes as it reads: precedence as MATLAB has it."""
+class Evaluator:
+    """The run of trees, which reads and changes the names of an evaluation."""
 
-    def __init__(self, tokens: list[Token], evaluation: Evaluation) -> None:
-        self.tokens, self.evaluation = tokens, evaluation
-        self.at = self.depth = 0
-        self.matrix = False
+    def __init__(self, evaluation: Evaluation) -> None:
+        self.evaluation = evaluation
+        self.persistent: list[str] = []
 
-    @property
-    def here(self) -> Token:
-        """The next token."""
-        return self.tokens[self.at]
-
-    def skip(self, *texts: str) -> bool:
-        """Pass one of these operators, or a line's end; return whether one stood here."""
-        token = self.here
-        if (token.kind == "operator" and token.text in texts) or (token.kind == "line" and "line" in texts):
-            self.at += 1
-            return True
-        return False
-
-    def need(self, text: str) -> None:
-        """Pass an operator. Raises NotComputed where another token stands."""
-        if not self.skip(text):
-            raise NotComputed(f"'{text}' is missing before '{self.here.text}'")
-
-    def statement(self) -> None:
-        """Carry out an assignment, or an expression without effect."""
-        self.evaluation.count()
-        token = self.here
-        if token.kind == "name" and token.text in SILENT:
-            start, self.at = self.at, next_statement(self.tokens, self.at) - 1
-            for named in self.tokens[start + 1 : self.at + 1] if token.text.startswith("clear") else ():
-                self.evaluation.names.pop(named.text, None)
-            return
-        if token.kind == "name" and token.text in ("if", "for", "while", "switch", "function", "try", "global"):
-            raise NotComputed(f"'{token.text}' is not computed")
-        start = self.at
-        path = self.target()
-        if path is None or self.here.text != "=" or self.here.kind != "operator":
-            self.at = start
-            value = self.expression()
-            self.evaluation.names["ans"] = value
-            return
-        self.at += 1
-        value = self.expression()
-        name, steps = path
-        self.evaluation.names[name] = stored(self.evaluation.names.get(name), steps, value)
-
-    def target(self) -> tuple[str, list[Any]] | None:
-        """Return name and steps of what is assigned, `s.a(2)`; None for anything else."""
-        if self.here.kind != "name":
-            return None
-        name, steps = self.here.text, list[Any]()
-        self.at += 1
-        value: Value = self.evaluation.names.get(name)
-        while True:
-            if self.here.text == "." and self.tokens[self.at + 1].kind == "name":
-                steps.append(self.tokens[self.at + 1].text)
-                value = value.get(steps[-1]) if isinstance(value, dict) else None
-                self.at += 2
-            elif self.here.text == "(" and not self.here.spaced:
-                try:
-                    steps.append(tuple(self.arguments(value if isinstance(value, np.ndarray) else np.zeros((0, 0)))))
-                except NotComputed:
-                    return None
-                value = None
-            else:
-                return name, steps
-
-    def expression(self) -> Value:
-        """Compute an expression."""
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise NotComputed("is nested too deep")
-        value = self.binary(0)
-        self.depth -= 1
-        return value
-
-    def separated(self) -> bool:
-        """Return True if the sign here begins the next element of a matrix, as in `[1 -2]`."""
-        following = self.tokens[self.at + 1]
-        return self.matrix and self.here.spaced and not following.spaced and self.here.text in ("+", "-")
-
-    def binary(self, level: int) -> Value:
-        """Compute operations of this level of precedence, and of those above it."""
-        if level == len(_BINARY):
-            return self.product()
-        if _BINARY[level] == (":",):
-            return self.range(level)
-        left = self.binary(level + 1)
-        while self.here.kind == "operator" and self.here.text in _BINARY[level] and not self.separated():
-            operator = self.here.text
-            self.at += 1
-            short = operator in ("&&", "||") and not (self.matrix or is_signal(left))
-            if short and bool(as_array(left).all()) == (operator == "||"):
-                self.pass_over("&&", "||")  # not computed where the first condition decides
-                left = np.array([[operator == "||"]])
-            else:
-                left = self.apply(operator, left, self.right_of(operator, left, level + 1))
-        return left
-
-    def right_of(self, operator: str, left: Value, level: int) -> Value:
-        """Compute the value to the right of an operator."""
-        return self.binary(level)
-
-    def pass_over(self, *operators: str) -> None:
-        """Pass over an expression up to one of these operators, or to its end."""
-        depth = 0
-        while self.here.kind != "end":
-            text = self.here.text if self.here.kind == "operator" else ""
-            ends = self.here.kind == "line" or text in (",", ";", ")", "]", "}", *operators)
-            if depth == 0 and ends:
-                return
-            depth += int(text in ("(", "[", "{")) - int(text in (")", "]", "}"))
-            self.at += 1
-
-    def range(self, level: int) -> Value:
-        """Compute `first:last` or `first:step:last`."""
-        first = self.binary(level + 1)
-        if self.here.text != ":" or self.here.kind != "operator" or self.tokens[self.at + 1].text in (")", ","):
-            return first
-        self.at += 1
-        last, step = self.binary(level + 1), np.ones((1, 1))
-        if self.skip(":"):
-            step, last = last, self.binary(level + 1)
-        if any(map(is_signal, (first, step, last))):
-            raise NotComputed("a range whose bounds are signals has no fixed size")
-        if not all(as_array(number(one)).size for one in (first, step, last)):
-            return np.zeros((1, 0))
-        begin, increment, end = (float(as_array(number(one)).flat[0]) for one in (first, step, last))
-        count = 0 if increment == 0 else math.floor((end - begin) / increment * (1 + 1e-15) + 1e-10) + 1
-        if count > MOST_ELEMENTS or not math.isfinite(begin + end):
-            raise NotComputed("a range has too many elements")
-        return begin + increment * np.arange(max(count, 0), dtype=float)[None, :]
-
-    def product(self) -> Value:
-        """Compute products and quotients."""
-        left = self.unary()
-        while self.here.kind == "operator" and self.here.text in _PRODUCTS:
-            operator = self.here.text
-            self.at += 1
-            left = self.apply(operator, left, self.unary())
-        return left
-
-    def unary(self) -> Value:
-        """Compute signs and `not`."""
-        signs: list[str] = []
-        while self.here.kind == "operator" and self.here.text in ("+", "-", "~", "!"):
-            signs.append(self.here.text)
-            self.at += 1
-        value = self.power()
-        for sign in reversed(signs):
-            value = as_array(value) if sign == "+" else self.signed(sign, as_array(value))
-        return value
-
-    @staticmethod
-    def signed(sign: str, array: Array) -> Array:
-        """Return -array, or where it is not true."""
-        if is_signal(array):
-            return SIGNAL_OPERATORS["negative" if sign == "-" else "~"](array)
-        if sign == "-":
-            return OPERATORS["-"](np.zeros((1, 1)), array) if array.dtype.kind in "iu" else -numeric(array)
-        return ~array.astype(bool)
-
-    def power(self) -> Value:
-        """Compute powers and transposes."""
-        value = self.postfix()
-        while self.here.kind == "operator" and self.here.text in ("^", ".^", "'", ".'"):
-            operator = self.here.text
-            if operator in ("'", ".'"):
-                if self.here.spaced and self.matrix:
-                    break
-                self.at += 1
-                value = value if isinstance(value, list) else as_array(value).T
-                continue
-            self.at += 1
-            signs = 0
-            while self.here.text in ("+", "-") and self.here.kind == "operator":
-                signs += self.here.text == "-"
-                self.at += 1
-            exponent = self.postfix()
-            value = self.apply(operator, value, self.signed("-", as_array(exponent)) if signs % 2 else exponent)
-        return value
-
-    def postfix(self) -> Value:
-        """Compute a value with its indices and fields."""
-        token = self.here
-        self.evaluation.count()
-        if (
-            token.kind == "name"
-            and token.text not in self.evaluation.names
-            and not (token.text == "end" and self.evaluation.ends)
-        ):
-            return self.function()
-        value = self.primary()
-        while True:
-            here = self.here
-            if here.text == "(" and here.kind == "operator" and not (self.matrix and here.spaced):
-                given = self.arguments(value)
-                value = value(self, given) if callable(value) else indexed(value, given)
-            elif here.text == "{" and here.kind == "operator" and not (self.matrix and here.spaced):
-                self.at += 1
-                index = int(scalar(self.expression()))
-                self.need("}")
-                if not isinstance(value, list) or not 1 <= index <= len(value):
-                    raise NotComputed(f"no cell {index}")
-                value = value[index - 1]
-            elif here.text == "." and here.kind == "operator" and self.tokens[self.at + 1].kind == "name":
-                name = self.tokens[self.at + 1].text
-                self.at += 2
-                if isinstance(value, dict) and name not in value:
-                    value = number(value)  # a field of what a parameter holds
-                if not isinstance(value, dict) or name not in value:
-                    raise NotComputed(f"there is no field {name}")
-                value = value[name]
-            else:
+    def value(self, tree: Tree) -> Value:
+        """Return the value of an expression."""
+        match tree.kind:
+            case "access":
+                return self._access(tree.parts[0], tree.parts[1:])
+            case "literal":
+                return tree.value
+            case "name":
+                return self._named(tree.text)
+            case "chain":
+                return self._chain(tree)
+            case "signs":
+                value = self.value(tree.parts[0])
+                for sign in reversed(tree.text):
+                    value = as_array(value) if sign == "+" else _signed(sign, as_array(value))
                 return value
+            case "range":
+                return _range(*map(self.value, tree.parts))
+            case "rows":
+                return self._rows(tree)
+            case "handle":
+                return self.handle(tree)
+        raise NotComputed(tree.text)
 
-    def primary(self) -> Value:
-        """Compute a literal, a name, a bracket or a matrix."""
-        token = self.here
-        self.at += 1
-        if token.kind == "number":
-            return np.array([[float(token.text.lower().replace("d", "e"))]])
-        if token.kind == "whole":  # of the smallest type that has as many digits
-            bits = next(bits for bits in (8, 16, 32, 64) if 4 * (len(token.text) - 2) <= bits)
-            return np.array([[int(token.text, 16)]], dtype=f"uint{bits}")
-        if token.kind == "text":
-            return token.text
-        if token.kind == "name":
-            if token.text == "end" and self.evaluation.ends:
-                array, index, count = self.evaluation.ends[-1]
-                size = array.size if count == 1 else array.shape[index] if index < 2 else 1
-                return np.array([[float(size)]])
-            return self.evaluation.names[token.text]
-        if token.text == "(":
-            matrix, self.matrix = self.matrix, False
-            value = self.expression()
-            self.need(")")
-            self.matrix = matrix
-            return value
-        if token.text in ("[", "{"):
-            return self.rows(token.text)
-        raise NotComputed(f"'{token.text}' is not computed" if token.kind != "end" else "ends too early")
+    def handle(self, tree: Tree) -> Value:
+        """Return the function of a handle, which only programs have."""
+        raise NotComputed("'@' is not computed")
 
-    def rows(self, bracket: str) -> Value:
+    def _chain(self, tree: Tree) -> Value:
+        """Compute operations from left to right; what && or || decide before is not computed."""
+        left = self.value(tree.parts[0])
+        for step in tree.parts[1:]:
+            if not step.parts:
+                left = left if isinstance(left, list) else as_array(left).T
+                continue
+            short = step.kind in ("&&", "||") and not (step.text or is_signal(left))
+            if short and bool(as_array(left).all()) == (step.kind == "||"):
+                left = np.array([[step.kind == "||"]])
+            else:
+                left = self.apply(step.kind, left, self.right_of(step, left))
+        return left
+
+    def right_of(self, step: Tree, left: Value) -> Value:
+        """Compute the value to the right of an operator."""
+        return self.value(step.parts[0])
+
+    def _access(self, base: Tree, steps: Sequence[Tree]) -> Value:
+        """Return a value with its indices and fields, or what a function gives that has no value of this name."""
+        self.evaluation.count()
+        name, names = base.text, self.evaluation.names
+        if base.kind == "name" and name not in names and not (name == "end" and self.evaluation.ends):
+            while steps and steps[0].kind == ".":
+                name, steps = f"{name}.{steps[0].text}", steps[1:]
+            called = bool(steps) and steps[0].kind == "("
+            value, steps = self.function(name, steps[0].parts if called else None), steps[called:]
+        else:
+            value = self.value(base)
+        for step in steps:
+            value = self._step(value, step)
+        return value
+
+    def _step(self, value: Value, step: Tree) -> Value:
+        """Return an element or a field of a value."""
+        if step.kind == "(":
+            given = self.arguments(step.parts, value)
+            return value(self, given) if callable(value) else indexed(value, given)
+        if step.kind == "{":
+            index = int(scalar(self.value(step.parts[0])))
+            if not isinstance(value, list) or not 1 <= index <= len(value):
+                raise NotComputed(f"no cell {index}")
+            return value[index - 1]
+        if isinstance(value, dict) and step.text not in value:
+            value = number(value)  # a field of what a parameter holds
+        if not isinstance(value, dict) or step.text not in value:
+            raise NotComputed(f"there is no field {step.text}")
+        return value[step.text]
+
+    def _named(self, name: str) -> Value:
+        if name == "end" and self.evaluation.ends:
+            array, index, count = self.evaluation.ends[-1]
+            size = array.size if count == 1 else array.shape[index] if index < 2 else 1
+            return np.array([[float(size)]])
+        value = self.evaluation.names[name]
+        if name in self.persistent and is_empty(value):
+            raise NotComputed(f"{name} is read before it has a value")
+        return value
+
+    def _rows(self, tree: Tree) -> Value:
         """Compute a matrix, or a cell array."""
-        close = "]" if bracket == "[" else "}"
-        matrix, self.matrix = self.matrix, True
-        rows: list[list[Value]] = [[]]
-        while not self.skip(close):
-            if self.here.kind == "end":
-                raise NotComputed(f"'{close}' is missing")
-            if self.skip(";", "line"):
-                rows.append([])
-            elif not self.skip(","):
-                rows[-1].append(self.expression())
-        self.matrix = matrix
-        if bracket == "{":
+        rows = [[self.value(one) for one in row.parts] for row in tree.parts]
+        if tree.text == "{":
             return [value for row in rows for value in row]
         sizes = [one.size for row in rows for one in row if isinstance(one, np.ndarray)]
         if any(map(is_signal, (one for row in rows for one in row))):
@@ -496,45 +219,20 @@ class EvaluatingParser:
             raise NotComputed(f"an array has more than {MOST_ELEMENTS} elements")
         return joined([row for row in rows if row])
 
-    def arguments(self, indexed: Value = None) -> list[Value]:
-        """Return the arguments in brackets; ":" alone for a colon."""
-        self.need("(")
-        matrix, self.matrix = self.matrix, False
-        count = self._count_arguments()
+    def arguments(self, parts: Sequence[Tree], indexed: Value = None) -> list[Value]:
+        """Return arguments, or indices of a value, in which `end` has a meaning."""
         found: list[Value] = []
-        while not self.skip(")"):
+        for one in parts:
             if isinstance(indexed, np.ndarray | str):
-                self.evaluation.ends.append((as_array(indexed), len(found), count))
-            if self.here.text == ":" and self.tokens[self.at + 1].text in (",", ")"):
-                self.at += 1
-                found.append(":")
-            else:
-                found.append(self.expression())
+                self.evaluation.ends.append((as_array(indexed), len(found), len(parts)))
+            found.append(self.value(one))
             if isinstance(indexed, np.ndarray | str):
                 self.evaluation.ends.pop()
-            if self.here.text != ")":
-                self.need(",")
-        self.matrix = matrix
         return found
 
-    def _count_arguments(self) -> int:
-        depth, count, at = 0, 1, self.at
-        while depth >= 0 and self.tokens[at].kind != "end":
-            text = self.tokens[at].text if self.tokens[at].kind == "operator" else ""
-            depth += (text in ("(", "[", "{")) - (text in (")", "]", "}"))
-            count += depth == 0 and text == ","
-            at += 1
-        return count
-
-    def function(self) -> Value:
+    def function(self, name: str, arguments: Sequence[Tree] | None) -> Value:
         """Call a function, or return a constant."""
-        name = self.here.text
-        self.at += 1
-        while self.here.text == "." and not self.here.spaced and self.tokens[self.at + 1].kind == "name":
-            name += f".{self.tokens[self.at + 1].text}"
-            self.at += 2
-        bracket = self.here.text == "(" and self.here.kind == "operator" and not (self.matrix and self.here.spaced)
-        return self.called(name, self.arguments() if bracket else [], bracket)
+        return self.called(name, self.arguments(arguments or ()), arguments is not None)
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Return what a function gives: for a `count` above 1 a list."""
@@ -565,3 +263,26 @@ class EvaluatingParser:
                 return bounded((SIGNAL_OPERATORS if is_signal(a) or is_signal(b) else OPERATORS)[operator](a, b))
         except (ValueError, TypeError, np.linalg.LinAlgError) as reason:
             raise NotComputed(f"'{operator}': {reason}") from None
+
+
+def _signed(sign: str, array: Array) -> Array:
+    """Return -array, or where it is not true."""
+    if is_signal(array):
+        return SIGNAL_OPERATORS["negative" if sign == "-" else "~"](array)
+    if sign == "-":
+        return OPERATORS["-"](np.zeros((1, 1)), array) if array.dtype.kind in "iu" else -numeric(array)
+    return ~array.astype(bool)
+
+
+def _range(first: Value, *others: Value) -> Array:
+    """Return `first:last` or `first:step:last`."""
+    bounds = [first, np.ones((1, 1)), *others] if len(others) == 1 else [first, *others]
+    if any(map(is_signal, bounds)):
+        raise NotComputed("a range whose bounds are signals has no fixed size")
+    if not all(as_array(number(one)).size for one in bounds):
+        return np.zeros((1, 0))
+    begin, increment, end = (float(as_array(number(one)).flat[0]) for one in bounds)
+    count = 0 if increment == 0 else math.floor((end - begin) / increment * (1 + 1e-15) + 1e-10) + 1
+    if count > MOST_ELEMENTS or not math.isfinite(begin + end):
+        raise NotComputed("a range has too many elements")
+    return begin + increment * np.arange(max(count, 0), dtype=float)[None, :]

@@ -22,7 +22,7 @@ from twodof.blocks.namespaces import BusView, Inputs, States
 from twodof.blocks.trace import leaves_of, matrices, with_matrices
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import Evaluation
-from twodof.slx.matlab.program import Code, call, chosen, is_empty
+from twodof.slx.matlab.program import Code, call, chosen
 from twodof.slx.matlab.values import (
     Array,
     Members,
@@ -31,6 +31,7 @@ from twodof.slx.matlab.values import (
     cast,
     class_of,
     filled,
+    is_empty,
     is_signal,
     lifted,
     stored,

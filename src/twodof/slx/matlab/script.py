@@ -18,7 +18,8 @@ import numpy as np
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
 from twodof.flightlog.fence import Answer
-from twodof.slx.matlab.evaluation import MOST_STEPS, SILENT, Evaluation, assigned_by, next_statement, script_text
+from twodof.slx.matlab.evaluation import MOST_STEPS, Evaluation, script_text
+from twodof.slx.matlab.parser import OPENING, SILENT, Tree, assigned_by
 from twodof.slx.matlab.program import EMPTY, Code, NotTranslatedLine, Program
 from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value, as_array, bounded
 
@@ -45,22 +46,20 @@ class RunningScript(Program):
         super().__init__(code, code.main, evaluation)
         self.base, self.depth_of_scripts = base, depth
         self.skipped: list[Skipped] = []
-        self.random = np.random.default_rng(0)
+        self.random, self.line = np.random.default_rng(0), 0
 
-    def statement(self) -> None:
+    def statement(self, tree: Tree) -> None:
         """Carry out a statement: `name`, `run name` and `load name` are those of a file."""
-        start, end = self.at, next_statement(self.tokens, self.at)
-        words = [one.text for one in self.tokens[start:end] if one.kind in ("name", "text", "number")]
-        plain = {one.text for one in self.tokens[start:end] if one.kind in ("operator", "line")} <= {*"().;,\n\r\n", ""}
+        self.line, tokens = tree.line, self.code.tokens[tree.start : tree.stop]
+        words = [one.text for one in tokens if one.kind in ("name", "text", "number")]
+        plain = {one.text for one in tokens if one.kind == "operator"} <= {*"()."}
         command = words[0] if words else ""
         if plain and command in ("run", "load") and len(words) > 1:
             self._file(words[1], ".mat" if command == "load" else ".m", self.evaluation.names)
         elif plain and words == [command] and command not in self.evaluation.names and self._found(f"{command}.m"):
             self._file(command, ".m", self.evaluation.names)
         else:
-            super().statement()
-            return
-        self.at = end - 1
+            super().statement(tree)
 
     def _found(self, name: str) -> Path | None:
         candidates = (one / name for one in self.code.folders) if _FILE.fullmatch(name) else ()
@@ -71,10 +70,9 @@ class RunningScript(Program):
         file = self._found(name)
         if file is None or self.depth_of_scripts >= DEEPEST_SCRIPTS:
             raise NotComputed(f"{name} is not found" if file is None else "scripts run each other too deep")
-        line = self.here.line
         try:
             found = read_workspace(file, names, self.code.folders, self.depth_of_scripts + 1)
-            self.skipped += [Skipped(line, f"{file.name}, line {one.line}: {one.why}") for one in found]
+            self.skipped += [Skipped(self.line, f"{file.name}, line {one.line}: {one.why}") for one in found]
         except DiagramError as reason:
             raise NotComputed(reason.what) from None
 
@@ -86,7 +84,7 @@ class RunningScript(Program):
             return loaded
         if name in ("rand", "randn"):
             if not any(one.why.endswith("a fixed draw") for one in self.skipped):
-                self.skipped.append(Skipped(self.here.line, f"{name} gives a fixed draw"))
+                self.skipped.append(Skipped(self.line, f"{name} gives a fixed draw"))
             shape = FUNCTIONS["zeros"](*arguments).shape
             return self.random.random(shape) if name == "rand" else self.random.standard_normal(shape)
         if name in _DESIGNS:
@@ -168,33 +166,30 @@ def run(
             program = Code(last, folders, script=True)
     except NotComputed as reason:
         return [Skipped(1, str(reason))]
-    parser, tokens = RunningScript(program, evaluation, workspace, depth), program.tokens
-    while parser.at < program.main.stop and "#return" not in own:
-        if parser.skip(";", ",", "line"):
-            continue
-        start, line = parser.at, parser.here.line
+    script = RunningScript(program, evaluation, workspace, depth)
+    for one in program.main.body.parts:
+        if "#return" in own:
+            break
         try:
-            parser.statement()
-            if parser.at < program.main.stop and not parser.skip(";", ",", "line"):
-                raise NotComputed(f"'{parser.here.text}' is not expected")
+            script.statement(one)
         except NotComputed as reason:
-            end = program.blocks[start][-1] if start in program.blocks else start
-            parser.at, parser.depth, parser.matrix, evaluation.ends = next_statement(tokens, end), 0, False, []
-            names, texts = assigned_by(tokens[start : parser.at]), [one.text for one in tokens[start : start + 3]]
-            if start not in program.blocks and names == {texts[0]} and texts[1:2] == ["."]:
+            evaluation.ends = []
+            tokens, block = program.tokens[one.start : one.stop], one.kind in OPENING
+            names, texts = assigned_by(tokens), [token.text for token in tokens[:3]]
+            if not block and names == {texts[0]} and texts[1:2] == ["."]:
                 field = texts[-1]
-                if isinstance(held := own.get(tokens[start].text), dict):  # the other fields are known
-                    own[tokens[start].text] = {name: value for name, value in held.items() if name != field}
+                if isinstance(held := own.get(texts[0]), dict):  # the other fields are known
+                    own[texts[0]] = {name: value for name, value in held.items() if name != field}
                 names = set()
             for name in names:
                 own.pop(name, None)
-            if tokens[start].text not in SILENT:
+            if texts[0] not in SILENT:
                 within = re.match(r"line (\d+): (.*)", str(reason), re.DOTALL)
-                inner = within if isinstance(reason, NotTranslatedLine) and start in program.blocks else None
-                parser.skipped.append(Skipped(int(inner[1]), inner[2]) if inner else Skipped(line, str(reason)))
+                inner = within if isinstance(reason, NotTranslatedLine) and block else None
+                script.skipped.append(Skipped(int(inner[1]), inner[2]) if inner else Skipped(one.line, str(reason)))
     for name in [one for one in own if "." in one or "#" in one]:  # what functions keep between their calls
         del own[name]
-    return parser.skipped
+    return script.skipped
 
 
 def read_workspace(

@@ -57,6 +57,11 @@ def numeric(array: Array) -> Array:
     return array.astype(float) if array.dtype == np.bool_ else array
 
 
+def is_empty(value: Value) -> bool:
+    """Return True for an array without elements."""
+    return isinstance(value, np.ndarray) and value.size == 0
+
+
 def scalar(value: Value) -> float:
     """Return the one number of a value. Raises NotComputed for any other."""
     array = as_array(number(value))
