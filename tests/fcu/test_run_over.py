@@ -12,7 +12,7 @@ import pytest
 from tests.fcu.assembled import INTERVAL, TARGET, Assembled
 from twodof.excitation import Impulse
 from twodof.fcu.command.setpoints import FRESH
-from twodof.fcu.mavlink.service import RUN_OVER, RUN_OVER_MS, acts_at, acts_at_ms, meant
+from twodof.fcu.mavlink.service import RUN_OVER, RUN_OVER_MS, acts_at, acts_at_ms, unwrap
 from twodof.link.mavlink.dialect import message_id
 from twodof.link.mavlink.messages import excite, message
 
@@ -101,7 +101,7 @@ def test_a_flight_in_which_a_number_runs_over_is_the_same_flight(moment: str, tm
 def test_a_tick_on_the_wire_is_the_one_that_is_near(run_over: int, now: int, ahead: int) -> None:
     tick = now + ahead
     if tick >= 0:
-        assert meant(tick % run_over, now, run_over) == tick
+        assert unwrap(tick % run_over, now, run_over) == tick
         assert acts_at(tick & MASK_32, now) == (tick if tick & MASK_32 else 0), "0 is at once"
         assert acts_at_ms(4 * tick & MASK_32, now) == (tick if 4 * tick & MASK_32 else 0)
 
@@ -109,6 +109,6 @@ def test_a_tick_on_the_wire_is_the_one_that_is_near(run_over: int, now: int, ahe
 def test_before_anything_has_run_over_a_field_is_its_own_tick() -> None:
     for now in (0, 1, 10**6):
         for value in (0, 1, 2**31 - 1, MASK_32):
-            assert meant(value, now) == value
+            assert unwrap(value, now) == value
     assert acts_at_ms(MASK_32, 0) == RUN_OVER_MS
     assert acts_at_ms(5, 0) == 2, "the first tick that is not before it"

@@ -122,7 +122,7 @@ class CompanionComponent:
         self._router = router
         self._computer = computer
         self._texts = 0
-        router.own = self.handle
+        router.handle_own = self.handle
 
     def beat(self) -> None:
         """Send the heartbeat to all and the state of the computer to the clients; called once a second."""

@@ -277,7 +277,7 @@ class ClientLink(CompanionLink):
                     continue
                 client = self._welcome(peer)
                 if client is None:
-                    self.router.from_stranger(frame)
+                    self.router.from_unplaced(frame)
                     continue
             if frame.known:
                 self.transport.confirm(peer)

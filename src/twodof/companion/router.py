@@ -38,7 +38,7 @@ BEHIND_S = 10.0
 """For so long after its last frame an identity behind the line is taken, so that no client can use it."""
 MOST_PASSED, MOST_ROUNDS, ROUND_S = 256, 2, 0.5
 """Frames that are recognised again, how often one may come from other clients, and for how long [s]."""
-_STRANGERS = "strangers"  # the queue of senders without a place among the clients
+_UNPLACED = "unplaced"  # the queue of senders without a place among the clients
 _HALF = 128  # of the range of a sequence number: more than that ahead is behind
 _ABOUT_MESSAGES = (frame_fields.SET_MESSAGE_INTERVAL, frame_fields.GET_MESSAGE_INTERVAL, frame_fields.REQUEST_MESSAGE)
 
@@ -56,7 +56,7 @@ class Router:
     """Routes frames for the vehicle `system`. `clock` gives seconds.
 
     `signing` signs messages in the companion's own name; all incoming frames then carry a signature by the same key.
-    `own` handles frames for the companion itself; it is called with the frame and its client, None for the vehicle.
+    `handle_own` takes frames for the companion itself, each with its client, None for the vehicle.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Router:
         """The connected clients."""
         self.asked: dict[int, StreamRequest] = {}
         """The request for each message that was last sent to the vehicle, by message id."""
-        self.own: Callable[[Frame, CompanionClient | None], None] = lambda frame, client: None
+        self.handle_own: Callable[[Frame, CompanionClient | None], None] = lambda frame, client: None
         self.killed = False
         """Whether the vehicle said that it was killed, and not yet that it was released."""
         self.pilot: Identity | None = None
@@ -125,7 +125,7 @@ class Router:
         interval = OFF if asked is None else asked.interval
         return [client for client in self.clients if client.wants(frame, interval, default)]
 
-    def behind(self, system: int, component: int) -> list[CompanionClient]:
+    def clients_with(self, system: int, component: int) -> list[CompanionClient]:
         """Return the clients with this system and component or, if none has it, with this system.
 
         In the drone's own system only the exact component counts, as the others are behind the line.
@@ -149,7 +149,7 @@ class Router:
             client.knows_ours = True
             self.refresh()
         if (system, component) == (self.system, COMPANION):
-            self.own(frame, client)
+            self.handle_own(frame, client)
             return
         raw: bytes | None = frame.raw
         to_vehicle = system in (0, self.system) and component in (0, AUTOPILOT)
@@ -159,7 +159,7 @@ class Router:
             self._set_group(client, decode(frame))
             return
         if system:
-            others = [one for one in self.behind(system, component) if one is not client]
+            others = [one for one in self.clients_with(system, component) if one is not client]
             for other in others:
                 self._deliver(other, frame)
             if others and (system != self.system or component):
@@ -171,12 +171,12 @@ class Router:
         if raw is not None:
             self.line.offer(client, raw, now, frame_fields.stop(asked) if asked is not None else None)
 
-    def from_stranger(self, frame: Frame) -> None:
+    def from_unplaced(self, frame: Frame) -> None:
         """Pass a kill or a disarm of a sender without a place among the clients; drop all else."""
         asked = frame_fields.command(frame)
         urgent = frame_fields.stop(asked) if asked is not None else None
         if asked is not None and urgent is not None and asked.system in (0, self.system) and self._may_say(frame):
-            self.line.offer(_STRANGERS, frame.raw, self.clock(), urgent)
+            self.line.offer(_UNPLACED, frame.raw, self.clock(), urgent)
 
     def from_vehicle(self, frame: Frame) -> None:
         """Route a frame that came over the line."""
@@ -191,10 +191,10 @@ class Router:
             self._learn(decode(frame))
         if system:
             if system == self.system and component in (0, COMPANION):
-                self.own(frame, None)
+                self.handle_own(frame, None)
                 if component:
                     return
-            receivers: Sequence[CompanionClient] = self.behind(system, component)
+            receivers: Sequence[CompanionClient] = self.clients_with(system, component)
         else:
             receivers = self.receivers(frame)
         for client in receivers:

@@ -219,7 +219,7 @@ class Server:
 
     async def _take(self, connection: Connection, received: Received) -> None:
         peer = Peer(connection, received.peer)
-        if connection.transport.stranger(received.peer):  # to welcome thousands of them would keep it from flying
+        if connection.transport.is_unplaced(received.peer):  # to welcome thousands of them would keep it from flying
             if not looks_like_a_stop(received.frame.raw):
                 return
         else:

@@ -165,7 +165,7 @@ class LocalDrone:
         return ["--index", str(self.index), *(() if self.key is None else ("--key", str(self.key)))]
 
     @property
-    def own(self) -> list[str]:
+    def controller_options(self) -> list[str]:
         """Further command-line options for the flight controller alone."""
         return ["--seed", str(self.seed), "--state", str(self.state)]
 

@@ -125,7 +125,7 @@ class LocalFleet:
         self._tell = tell
         self._children: list[ChildProcess] = []
         for drone in drones:
-            fcu, companion = ["fcu", *drone.options, *drone.own, *given], ["companion", *drone.options]
+            fcu, companion = ["fcu", *drone.options, *drone.controller_options, *given], ["companion", *drone.options]
             self._children += [
                 ChildProcess(f"flight controller {drone.system}", fcu, drone.fcu, drone),
                 ChildProcess(f"companion {drone.system}", companion, drone.companion, drone),

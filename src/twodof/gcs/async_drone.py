@@ -454,7 +454,7 @@ class AsyncDrone(DroneView):
     def _needs_ours(self, what: str, name: str) -> None:
         """Raise Rejected at once if the drone is a plain PX4, which does not know the message `name`."""
         if not self.ours:
-            self.session.must_stand()
+            self.session.check_lost()
             missing = f"{what}: this is not a twodof drone but {self.state.autopilot}, which has no {name}"
             remedy = "docs/how-to/connect-clients.md says what works there"
             raise Rejected(missing, self.session.where, remedy)

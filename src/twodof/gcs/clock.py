@@ -79,9 +79,9 @@ class DroneClock:
         if self.granting:
             await self.run_until(self.tick + 1, within=deadline)
 
-    def meant(self, tick: int) -> int:
+    def unwrap(self, tick: int) -> int:
         """Return the tick for its number on the wire, which wraps after 2^32."""
-        return self._meant(tick, _TICKS)
+        return self._unwrap(tick, _TICKS)
 
     @contextmanager
     def resetting(self) -> Iterator[None]:
@@ -163,12 +163,12 @@ class DroneClock:
             self._session.emit(DroneRestarted())
 
     def _stamped(self, got: Any) -> None:
-        self._to(self._meant(got.time_boot_ms // TICK_MS, _STAMPS))
+        self._to(self._unwrap(got.time_boot_ms // TICK_MS, _STAMPS))
 
     def _ticked(self, got: Any) -> None:
-        self._to(self.meant(got.tick))
+        self._to(self.unwrap(got.tick))
 
-    def _meant(self, value: int, count: int) -> int:
+    def _unwrap(self, value: int, count: int) -> int:
         """Return the nearest tick for a number that wraps after `count`, or the number itself if time went back."""
         near = value + count * round((self.tick - value) / count)
         return near if near >= 0 and -OLDEST_TICKS <= near - self.tick <= _MOST_AHEAD else value
@@ -192,7 +192,7 @@ class DroneClock:
     def _come(self, got: Any, number: int, least: int, deadline: Deadline) -> int | None:
         if got.number != number:
             return None
-        come = self.meant(got.tick)
+        come = self.unwrap(got.tick)
         if come < least:
             raise Rejected("the drone does not let its time run", deadline.where, "see who has the lease")
         return come

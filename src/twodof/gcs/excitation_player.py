@@ -70,13 +70,13 @@ class ExcitationPlayer:
             thrust=nan if thrust is None else float(thrust),
             **self._session.target,
         )
-        meant = self._clock.meant
+        unwrap = self._clock.unwrap
 
         def begun(got: Any) -> tuple[int, int] | None:
             if not _is_about(got, transfer, "excitation"):
                 return None
-            waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, meant(got.start_tick))
-            return (meant(got.start_tick), meant(got.end_tick)) if waits or got.state in _STATES else None
+            waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, unwrap(got.start_tick))
+            return (unwrap(got.start_tick), unwrap(got.end_tick)) if waits or got.state in _STATES else None
 
         # A short one may be over before this call goes on: `_told` keeps the status that comes meanwhile.
         before, playback = self.playback, ExcitationPlayback(transfer, 0, 0)
@@ -137,7 +137,7 @@ class ExcitationPlayer:
     def _told(self, got: Any) -> None:
         late = self._unconfirmed
         if late is not None and got.transfer == late.transfer and got.state in _STATES:
-            late.start_tick, late.end_tick = self._clock.meant(got.start_tick), self._clock.meant(got.end_tick)
+            late.start_tick, late.end_tick = self._clock.unwrap(got.start_tick), self._clock.unwrap(got.end_tick)
             self.playback, self._unconfirmed = late, None
         playback = self.playback
         if playback is not None and got.transfer == playback.transfer:

@@ -210,7 +210,7 @@ class Recording:
             with suppress(RecordingError):
                 self.recorder.write_many(topic, times, values)
 
-    def said(self, tick: int, line: StatusText) -> None:
+    def add_text(self, tick: int, line: StatusText) -> None:
         """Add a line of text that the drone sent at `tick`."""
         if len(self.texts) < MOST_TEXTS:
             self.texts.append((self._seconds(tick), line.severity, line.text))
@@ -318,7 +318,7 @@ async def record(
     given["drone"] = {**(told if isinstance(told, dict) else {}), **flies.provenance()}
     recording = Recording(path, rows, given, session.lockstep, flies, overwrite)
     handlers: dict[str | type, Handler] = {
-        StatusText: lambda line: recording.said(clock.tick, line),
+        StatusText: lambda line: recording.add_text(clock.tick, line),
         "TWODOF_RIG": recording.rig,
         "TWODOF_SAFETY": recording.safety,
         "PARAM_VALUE": lambda got: recording.parameter(clock.tick, got),

@@ -366,9 +366,9 @@ class DroneSession:
                 self.end(
                     LinkLost(f"nothing was heard of drone {self.system} for {SILENT_S:g} s", self.url, "connect again")
                 )
-        self.must_stand()
+        self.check_lost()
 
-    def must_stand(self) -> None:
+    def check_lost(self) -> None:
         """Raise LinkLost if the vehicle is known to be lost; safe to call from any thread."""
         lost = self.lost
         if lost is not None:

@@ -181,7 +181,7 @@ class AsyncSignal:
     @property
     def value(self) -> Value:
         """The latest value. Raises LinkLost if no newer one will come, Timeout if none has come yet."""
-        self._session.must_stand()
+        self._session.check_lost()
         if self.latest is None:
             raise Timeout(f"no {self.name} has come yet", self._session.url, "wait for it with `next`")
         return self.latest.value

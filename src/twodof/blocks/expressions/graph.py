@@ -93,7 +93,7 @@ def unchanging(
 
 
 def scope(roots: Iterable[Expr], known: Container[int]) -> list[Expr]:
-    """Return the nodes computed beside `roots`, `ordered`: unchanging nodes of loops before them, no loop entered."""
+    """Return the nodes to compute for `roots`, in order; of a loop only the unchanging ones, which stand before it."""
     return ordered(roots, lambda item: (*item.outside, *unchanging(item)) if item.op in LOOPS else item.outside, known)
 
 

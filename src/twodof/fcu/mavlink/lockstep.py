@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from twodof.errors import RefusalReason, TwodofError
 from twodof.fcu.command.command_lease import DONE, CommandResult, denied, unsupported
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.service import MASK_32, Service, Vehicle, meant, source
+from twodof.fcu.mavlink.service import MASK_32, Service, Vehicle, source, unwrap
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 
@@ -56,7 +56,7 @@ class LockstepService(Service):
             return
         result = self._vehicle.take(source(received), "grant")
         if result.accepted:
-            until = meant(got.until, controller.tick)
+            until = unwrap(got.until, controller.tick)
             controller.grant(until)
             grant = Grant(min(until, controller.granted), got.number, received.peer)
             if grant.until <= controller.tick:

@@ -37,7 +37,7 @@ RUN_OVER_MS = RUN_OVER // TICK_MS
 """Ticks after which a 32-bit stamp in milliseconds wraps."""
 
 
-def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
+def unwrap(value: int, now: int, run_over: int = RUN_OVER) -> int:
     """Return the tick nearest to `now` that a wrapped field of 32 bits with `value` can stand for.
 
     No tick is before 0, so in the first half of the field's range it is `value` itself.
@@ -48,12 +48,12 @@ def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
 
 def acts_at(tick: int, now: int) -> int:
     """Return the tick at which a message with this `tick` field acts; 0, an omitted field, stands for at once."""
-    return meant(tick, now) if tick else 0
+    return unwrap(tick, now) if tick else 0
 
 
 def acts_at_ms(time_boot_ms: int, now: int) -> int:
     """Return the tick at which a message with this stamp in milliseconds acts: the first not before it."""
-    return meant(-(-time_boot_ms // TICK_MS), now, RUN_OVER_MS) if time_boot_ms else 0
+    return unwrap(-(-time_boot_ms // TICK_MS), now, RUN_OVER_MS) if time_boot_ms else 0
 
 
 class TextSent(NamedTuple):

@@ -252,8 +252,8 @@ class Transport(ABC):
         """
         return
 
-    def stranger(self, peer: Hashable) -> bool:
-        """Return True if a peer that was heard has no place among `peers`, because there are too many."""
+    def is_unplaced(self, peer: Hashable) -> bool:
+        """Return True if a peer sent a packet but has no place among `peers`, because there are too many."""
         return False
 
     def send(self, data: bytes, to: Hashable | None = None) -> None:

@@ -130,7 +130,7 @@ class UdpTransport(Transport):
             del self._heard[oldest]
         self._heard[peer] = now
 
-    def stranger(self, peer: Hashable) -> bool:
+    def is_unplaced(self, peer: Hashable) -> bool:
         """Return True if a peer did not get a place."""
         return self._learns and peer not in self._heard and peer != self._server
 

@@ -1,4 +1,4 @@
-// What is wrong with the diagram, as one draws: asked of the server a moment after each change.
+// Checks of the diagram's wires and blocks: asked of the server a moment after each change.
 import * as api from "../../api/diagrams";
 import { messageOf } from "../../api/client";
 import { editor } from "./editor.svelte";
