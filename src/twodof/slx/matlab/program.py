@@ -7,7 +7,7 @@ does not hold. Loops have constant ranges and are written out.
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,11 @@ from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
 from twodof.slx.matlab.evaluation import Evaluation, Evaluator, script_text
+from twodof.slx.matlab.library import LIBRARY
 from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, Parser, Tree, tokens_of
-from twodof.slx.matlab.rotations import ROTATIONS
 from twodof.slx.matlab.signals import truth
 from twodof.slx.matlab.values import (
+    FUNCTIONS,
     Array,
     NotComputed,
     Value,
@@ -85,15 +86,14 @@ class Code:
         self.functions = {one.name: one for one in made}
 
     def file(self, name: str) -> "Code | None":
-        """Return the code of NAME.m in one of the folders, or of a known toolbox; None where there is none."""
+        """Return the code of NAME.m in one of the folders; None where there is none."""
         if name not in self.files:
             candidates = (one / f"{name}.m" for one in self.folders) if name.isidentifier() else ()
             path = next((one for one in candidates if one.is_file()), None)
-            text = ROTATIONS.get(name)
             self.files[name] = None
-            if path is not None or text is not None:
+            if path is not None:
                 try:
-                    made = Code(str(text) if path is None else fence.read(script_text, path)[0], self.folders)
+                    made = Code(fence.read(script_text, path)[0], self.folders)
                 except LogError as reason:
                     raise NotComputed(str(reason)) from None
                 except NotComputed as reason:
@@ -102,6 +102,12 @@ class Code:
                 made.prefix = f"{name}/"
                 self.files[name] = made
         return self.files[name]
+
+
+@cache
+def of_library(name: str) -> Code | None:
+    """Return the code of a function of the library; None where there is none."""
+    return Code(LIBRARY[name]) if name in LIBRARY else None
 
 
 class Program(Evaluator):
@@ -393,9 +399,14 @@ class Program(Evaluator):
         if name == "single" or "single" in [one for one in arguments if isinstance(one, str)]:
             self.code.notes.append("single: computed in the precision of the build")
         code, function = self.code, self.code.functions.get(name)
-        if function is None and (found_file := self.code.file(name)) is not None:
-            code, function = found_file, found_file.main
         if function is None:
+            numbers = name in FUNCTIONS and not any(map(is_signal, arguments))
+            found_file = self.code.file(name) or (None if numbers else of_library(name))
+            if found_file is not None:
+                code, function = found_file, found_file.main
+        if function is None:
+            if name == "refused" and arguments:
+                raise NotComputed(arguments[0])
             if name == "size" and count == 2:
                 count = 1
             return super().called(name, arguments, bracket, count)

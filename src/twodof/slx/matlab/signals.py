@@ -279,97 +279,8 @@ def _reduced(two: Elementwise, one: Elementwise = lambda v: v) -> Callable[..., 
     return compute
 
 
-def _mean(value: Value, dimension: Value = None) -> Array:
-    total = _sum(value, dimension)
-    return _each(_divide)(total, np.array([[as_array(value).size / total.size]]))
-
-
 def _number(element: Any) -> Any:
     return cast(element, "real") if kind_of(element) == "bool" else element
-
-
-_sum = _reduced(_add, _number)
-
-
-def _ordered(value: Value) -> list[Any]:
-    """Return the elements of a vector from the smallest on. Source: Knuth, vol. 3, 5.2.2, algorithm M, by merging."""
-    found = list(lifted(as_array(value)).flatten())
-    if 1 not in as_array(value).shape:
-        raise NotComputed("a matrix with signals is not sorted")
-    low, high = _extreme(False), _extreme(True)
-    for p in (1 << k for k in range((len(found) - 1).bit_length())):
-        for step in (p >> k for k in range(p.bit_length())):
-            for k in range(step % p, len(found) - step, 2 * step):
-                for one in range(k, k + min(step, len(found) - k - step)):
-                    if one // (2 * p) == (one + step) // (2 * p):
-                        pair = [filled((1, 1), [found[at]]) for at in (one, one + step)]
-                        found[one], found[one + step] = low(*pair).flat[0], high(*pair).flat[0]
-    return found
-
-
-def _median(value: Value) -> Array:
-    found = _ordered(value)
-    middle = found[(len(found) - 1) // 2 : len(found) // 2 + 1]
-    return _mean(filled((len(middle), 1), middle))
-
-
-def _accumulated(value: Value) -> Array:
-    array = lifted(as_array(value))
-    if 1 not in array.shape:
-        raise NotComputed("the cumulative sum of a matrix with signals is not translated")
-    sums = [_number(array.flat[0])]
-    for element in array.flatten()[1:]:
-        sums.append(_add(sums[-1], element))
-    return filled(array.shape, sums)
-
-
-def _cross(a: Value, b: Value) -> Array:
-    left, right = (list(lifted(as_array(one)).flatten()) for one in (a, b))
-    if len(left) != 3 or len(right) != 3:
-        raise NotComputed("cross takes vectors of 3")
-    made = [_subtract(_times(left[i - 2], right[i - 1]), _times(left[i - 1], right[i - 2])) for i in range(3)]
-    return filled(as_array(a).shape, made)
-
-
-def _norm(value: Value, kind: Value = 2.0) -> Array:
-    array = as_array(value)
-    if kind == "fro":
-        return _norm(array.reshape(-1, 1, order="F"))
-    if 1 not in array.shape or kind not in (1.0, 2.0):
-        raise NotComputed("only the norms 1, 2 and 'fro' of a vector with signals are translated")
-    if kind == 1.0:
-        return _sum(_each(_absolute)(array.reshape(-1, 1)))
-    elements = list(lifted(array).flatten())
-    squares = reduce(_add, (_times(one, one) for one in elements))
-    return filled((1, 1), [_absolute(elements[0]) if len(elements) == 1 else _float(sqrt)(squares)])
-
-
-def _cholesky(value: Value, half: Value = "upper") -> Array:
-    """Return the triangular factor of a matrix; NaN where it is not positive definite, for which MATLAB stops."""
-    a = lifted(as_array(value))
-    size = len(a)
-    if a.shape[1] != size or size > LARGEST_SYSTEM:
-        raise NotComputed(f"the factor of {a.shape[0]} by {a.shape[1]} signals is not translated")
-    factor = filled(a.shape, [0.0] * a.size)
-    for k, n in zip(*np.triu_indices(size), strict=True):
-        left = reduce(_subtract, (_times(factor[k, i], factor[n, i]) for i in range(k)), a[k, n])
-        factor[n, k] = _float(sqrt)(left) if n == k else _divide(left, factor[k, k])
-    return factor if half == "lower" else factor.T
-
-
-def _determinant(value: Value) -> Array:
-    a = lifted(as_array(value))
-    if a.shape[0] != a.shape[1] or not 1 <= len(a) <= 3:
-        raise NotComputed("the determinant of more than 3 by 3 signals is not translated")
-
-    def minor(rows: list[int], columns: list[int]) -> Any:
-        if len(rows) == 1:
-            return a[rows[0], columns[0]]
-        terms = [_times(a[rows[0], c], minor(rows[1:], [d for d in columns if d != c])) for c in columns]
-        return reduce(_add, [terms[0], *(_subtract(0.0, t) if k % 2 == 0 else t for k, t in enumerate(terms[1:]))])
-
-    whole = list(range(len(a)))
-    return filled((1, 1), [minor(whole, whole)])
 
 
 def _remainder(x: Any, y: Any) -> Any:
@@ -534,12 +445,8 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     **{f"wrapTo{end}": _each(_float(partial(_wrapped, half=half, symmetric=symmetric))) for end, half, symmetric in
        (("Pi", math.pi, True), ("2Pi", math.pi, False), ("180", 180.0, True), ("360", 180.0, False))},
     "deg2rad": _each(_float(lambda x: x * (math.pi / 180.0))), "max": _extreme(True), "min": _extreme(False),
-    "rad2deg": _each(_float(lambda x: x * (180.0 / math.pi))), "sum": _sum, "prod": _reduced(_times, _number),
-    "realsqrt": _each(_float(sqrt)), "linsolve": lambda a, b: OPERATORS["\\"](a, b), "chol": _cholesky,
-    "nnz": lambda a: _sum(OPERATORS["~="](as_array(a).reshape(-1, 1), np.zeros((1, 1)))),
-    "mean": _mean, "cumsum": _accumulated, "norm": _norm, "cross": _cross, "det": _determinant,
-    "dot": lambda a, b: _product(as_array(a).reshape(1, -1), as_array(b).reshape(-1, 1)),
-    "trace": lambda a: _sum(np.diag(lifted(as_array(a)))[:, None]), "inv": lambda a: _solved(a, np.eye(len(a))),
+    "rad2deg": _each(_float(lambda x: x * (180.0 / math.pi))), "sum": _reduced(_add, _number),
+    "prod": _reduced(_times, _number), "realsqrt": _each(_float(sqrt)), "linsolve": _solved,
     "any": _reduced(or_, lambda one: cast(one, "bool")), "all": _reduced(and_, lambda one: cast(one, "bool")),
     "mod": _each(_arithmetic(mod)), "rem": _each(_arithmetic(rem)), "isnan": _each(_is_nan),
     "isinf": _each(_float(lambda x: abs(x) == math.inf)), "isfinite": _each(_float(lambda x: abs(x) < math.inf)),
@@ -551,7 +458,6 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "bitget": lambda a, k: _each(lambda one: convert(convert(one, "uint32") >> int(scalar(k)) - 1 & 1, kind_of(one)))(
         _whole(a)
     ),
-    "sort": lambda a: filled(as_array(a).shape, _ordered(a)), "median": _median,
     "cast": lambda value, kind: SIGNAL_FUNCTIONS[kind](value),
 }  # fmt: skip
 

@@ -577,6 +577,10 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "isstruct": lambda v: isinstance(v, dict),
     "lower": lambda v: str(v).lower(), "upper": lambda v: str(v).upper(),
     "strcmpi": lambda a, b: str(a).lower() == str(b).lower(),
+    "nnz": lambda v: float(np.count_nonzero(as_array(v))), "median": _reduced(np.median),
+    "sort": lambda v: np.sort(as_array(v), axis=int(as_array(v).shape[0] == 1)),
+    "chol": lambda a, half="upper": (np.linalg.cholesky(as_array(a)) if half == "lower"
+                                     else np.linalg.cholesky(as_array(a)).T),
     "find": _found, "tril": lambda v, k=None: np.tril(as_array(v), 0 if k is None else int(scalar(k))),
     "triu": lambda v, k=None: np.triu(as_array(v), 0 if k is None else int(scalar(k))),
     "circshift": lambda v, k: np.roll(as_array(v), int(scalar(k)), axis=int(as_array(v).shape[0] == 1)),

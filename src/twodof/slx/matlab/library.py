@@ -1,10 +1,76 @@
-"""Functions of MathWorks' toolboxes on rotations and quaternions, in MATLAB's language.
+"""Functions of signals in MATLAB's language: of MATLAB itself, and of its toolboxes on rotations and quaternions.
+
+Sums are from the left. `refused` says why a function is not translated. A factor by Cholesky is NaN where the matrix is
+not positive definite, for which MATLAB stops. Sorting is by merging exchanges (Knuth, vol. 3, 5.2.2, algorithm M).
 
 A quaternion is a row [w x y z], and a product of two is Hamilton's. Angles turn about the axes of a sequence, each
 about an axis that the turns before it have moved. Source: reference pages of Aerospace and Robotics System Toolbox.
 """
 
-ROTATIONS = {
+LIBRARY = {
+    "mean": """
+    function m = mean(v, varargin)
+    if nargin < 2, total = sum(v); else, total = sum(v, varargin); end
+    m = total / (numel(v) / numel(total));""",
+    "cumsum": """
+    function s = cumsum(v)
+    if min(size(v)) > 1, refused('the cumulative sum of a matrix with signals is not translated'); end
+    s = v;
+    if ~isnumeric(v), s = double(v); end
+    for k = 2:numel(v), s(k) = s(k - 1) + v(k); end""",
+    "cross": """
+    function c = cross(a, b)
+    if numel(a) ~= 3 || numel(b) ~= 3, refused('cross takes vectors of 3'); end
+    c = reshape([a(2) * b(3) - a(3) * b(2); a(3) * b(1) - a(1) * b(3); a(1) * b(2) - a(2) * b(1)], size(a));""",
+    "norm": """
+    function n = norm(v, kind)
+    if nargin < 2, kind = 2; elseif strcmp(kind, 'fro'), kind = 2; v = v(:); end
+    if min(size(v)) > 1 || (kind ~= 1 && kind ~= 2), refused('this norm of signals is not translated'); end
+    v = v(:);
+    if kind == 1, n = sum(abs(v)); elseif numel(v) == 1, n = abs(v); else, n = sqrt(sum(v .* v)); end""",
+    "chol": """
+    function f = chol(a, half)
+    n = size(a, 1); f = zeros(n);
+    if n ~= size(a, 2) || n > 6, refused('the factor of so many signals, or of no square, is not translated'); end
+    for k = 1:n, for m = k:n
+      left = a(k, m);
+      for i = 1:k - 1, left = left - f(k, i) * f(m, i); end
+      if m == k, f(k, k) = sqrt(left); else, f(m, k) = left / f(k, k); end
+    end, end
+    if nargin < 2 || ~strcmp(half, 'lower'), f = f'; end""",
+    "det": """
+    function d = det(a)
+    if any(size(a) ~= size(a, 1)) || numel(a) > 9, refused('the determinant of so many signals is not translated'); end
+    if numel(a) == 1
+      d = a;
+    elseif numel(a) == 4
+      d = a(1, 1) * a(2, 2) + (0 - a(1, 2) * a(2, 1));
+    else
+      d = a(1, 1) * minor(a, 2, 3) + (0 - a(1, 2) * minor(a, 1, 3)) + a(1, 3) * minor(a, 1, 2);
+    end
+    function d = minor(a, i, j)
+    d = a(2, i) * a(3, j) + (0 - a(2, j) * a(3, i));""",
+    "sort": """
+    function v = sort(v)
+    if min(size(v)) > 1, refused('a matrix with signals is not sorted'); end
+    n = numel(v); p = 1;
+    while p < n
+      step = p;
+      while step >= 1
+        for from = mod(step, p):2 * step:n - step - 1, for i = from + 1:from + min(step, n - from - step)
+          if floor((i - 1) / (2 * p)) == floor((i - 1 + step) / (2 * p))
+            low = min(v(i), v(i + step)); v(i + step) = max(v(i), v(i + step)); v(i) = low;
+          end
+        end, end
+        step = floor(step / 2);
+      end
+      p = 2 * p;
+    end""",
+    "median": "function m = median(v)\nv = sort(v); n = numel(v); m = mean(v(floor((n + 1) / 2):floor(n / 2) + 1));",
+    "trace": "function t = trace(a)\nt = sum(diag(a));",
+    "nnz": "function n = nnz(a)\nn = sum(a(:) ~= 0);",
+    "dot": "function d = dot(a, b)\nd = a(:)' * b(:);",
+    "inv": "function x = inv(a)\nx = a \\ eye(size(a, 1));",
     "eul2rotm": """
     function R = eul2rotm(e, seq)
     if nargin < 2, seq = 'ZYX'; end
