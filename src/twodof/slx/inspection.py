@@ -38,44 +38,25 @@ persistent poly polyfit rand randn return set_param sort squeeze std switch trap
 _MATLAB = frozenset([*FUNCTIONS, *_MORE.split()])
 
 # The parameters that hold a value to be computed; all others are choices, texts or looks.
-VALUES: dict[str, tuple[str, ...]] = {
-    "Backlash": ("BacklashWidth", "InitialOutput"),
-    "Bias": ("Bias",),
-    "Constant": ("Value",),
-    "DataStoreMemory": ("InitialValue",),
-    "DeadZone": ("LowerValue", "UpperValue"),
-    "Delay": ("DelayLength", "InitialCondition"),
-    "DiscreteFilter": ("Numerator", "Denominator", "InitialStates"),
-    "DiscreteFir": ("Coefficients", "InitialStates"),
-    "DiscreteIntegrator": ("gainval", "InitialCondition", "UpperSaturationLimit", "LowerSaturationLimit"),
-    "DiscretePulseGenerator": ("Amplitude", "Period", "PulseWidth", "PhaseDelay"),
-    "DiscreteStateSpace": ("A", "B", "C", "D", "InitialCondition"),
-    "DiscreteTransferFcn": ("Numerator", "Denominator", "InitialStates"),
-    "DiscreteZeroPole": ("Zeros", "Poles", "Gain"),
-    "Gain": ("Gain",),
-    "Integrator": ("InitialCondition", "UpperSaturationLimit", "LowerSaturationLimit"),
-    "Lookup": ("InputValues", "Table"),
-    "Lookup_n-D": ("Table", *(f"BreakpointsForDimension{n}" for n in range(1, 5))),
-    "PID Controller": (
-        *"PIDNbc",
-        *("Kb", "Kt", "InitialConditionForIntegrator", "InitialConditionForFilter"),
-        *("UpperSaturationLimit", "LowerSaturationLimit"),
-    ),
-    "Quantizer": ("QuantizationInterval",),
-    "RandomNumber": ("Mean", "Variance", "Seed"),
-    "RateLimiter": ("RisingSlewLimit", "FallingSlewLimit", "InitialCondition"),
-    "Relay": ("OnSwitchValue", "OffSwitchValue", "OnOutputValue", "OffOutputValue"),
-    "Saturate": ("UpperLimit", "LowerLimit"),
-    "Sin": ("Amplitude", "Bias", "Frequency", "Phase"),
-    "StateSpace": ("A", "B", "C", "D", "X0", "InitialCondition"),
-    "Step": ("Time", "Before", "After"),
-    "Switch": ("Threshold",),
-    "TransferFcn": ("Numerator", "Denominator"),
-    "TransportDelay": ("DelayTime", "InitialOutput"),
-    "UniformRandomNumber": ("Minimum", "Maximum", "Seed"),
-    "UnitDelay": ("InitialCondition", "X0"),
-    "ZeroPole": ("Zeros", "Poles", "Gain"),
-}
+_VALUES = """
+Backlash: BacklashWidth InitialOutput; Bias: Bias; Constant: Value; DataStoreMemory: InitialValue;
+DeadZone: LowerValue UpperValue; Delay: DelayLength InitialCondition;
+DiscreteFilter: Numerator Denominator InitialStates; DiscreteFir: Coefficients InitialStates;
+DiscreteIntegrator: gainval InitialCondition UpperSaturationLimit LowerSaturationLimit;
+DiscretePulseGenerator: Amplitude Period PulseWidth PhaseDelay; DiscreteStateSpace: A B C D InitialCondition;
+DiscreteTransferFcn: Numerator Denominator InitialStates; DiscreteZeroPole: Zeros Poles Gain; Gain: Gain;
+Integrator: InitialCondition UpperSaturationLimit LowerSaturationLimit; Lookup: InputValues Table;
+Lookup_n-D: Table BreakpointsForDimension1 BreakpointsForDimension2 BreakpointsForDimension3 BreakpointsForDimension4;
+PID Controller: P I D N b c Kb Kt InitialConditionForIntegrator InitialConditionForFilter UpperSaturationLimit
+LowerSaturationLimit;
+Quantizer: QuantizationInterval; RandomNumber: Mean Variance Seed;
+RateLimiter: RisingSlewLimit FallingSlewLimit InitialCondition;
+Relay: OnSwitchValue OffSwitchValue OnOutputValue OffOutputValue; Saturate: UpperLimit LowerLimit;
+Sin: Amplitude Bias Frequency Phase; StateSpace: A B C D X0 InitialCondition; Step: Time Before After;
+Switch: Threshold; TransferFcn: Numerator Denominator; TransportDelay: DelayTime InitialOutput;
+UniformRandomNumber: Minimum Maximum Seed; UnitDelay: InitialCondition X0; ZeroPole: Zeros Poles Gain
+"""
+VALUES = {kind.strip(): tuple(names.split()) for kind, names in re.findall(r"([^:;]+):([^;]+)", _VALUES)}
 
 
 @dataclass(frozen=True)

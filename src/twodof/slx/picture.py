@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from html import escape
 
 from twodof.drawing.text_width import shortened, text_width
-from twodof.slx.model import Line, Model, Pin, SimulinkBlock, System, Wire, below, collapsed
+from twodof.slx.model import CODED, Line, Model, Pin, SimulinkBlock, System, Wire, below, collapsed
 
 Point = tuple[float, float]
 Rectangle = tuple[float, float, float, float]
@@ -28,48 +28,35 @@ svg { color-scheme: light dark; font-family: system-ui, sans-serif; --line: #333
   font-weight: 600; text-anchor: start; } a:hover .block { stroke-width: 2; }
 """.strip()
 
-_INHERIT = "Inherit: Inherit via back propagation"
-# What stands in a block of a type, as a function of its values; any other has its type.
-_INSIDE: dict[str, Callable[[dict[str, str]], str]] = {
-    "Constant": lambda v: v.get("Value", "1"),
-    "Gain": lambda v: v.get("Gain", "1"),
-    "Integrator": lambda v: "1/s",
-    "DiscreteIntegrator": lambda v: "K Ts/(z-1)",
-    "UnitDelay": lambda v: "1/z",
-    "Delay": lambda v: f"z^-{v.get('DelayLength', '2')}",
-    "Memory": lambda v: "memory",
-    "Derivative": lambda v: "du/dt",
-    "Goto": lambda v: f"[{v.get('GotoTag', 'A')}]",
-    "From": lambda v: f"[{v.get('GotoTag', 'A')}]",
-    "Math": lambda v: v.get("Operator", v.get("Function", "exp")),
-    "Trigonometry": lambda v: v.get("Operator", v.get("Function", "sin")),
-    "RelationalOperator": lambda v: v.get("Operator", v.get("Function", ">=")),
-    "Logic": lambda v: v.get("Operator", v.get("Function", "AND")),
-    "MinMax": lambda v: v.get("Function", "min"),
-    "Product": lambda v: _factors(v.get("Inputs", "2")),
-    "Abs": lambda v: "|u|",
-    "Sqrt": lambda v: "sqrt",
-    "Bias": lambda v: f"u + {v.get('Bias', '0.0')}",
-    "Saturate": lambda v: f"{v.get('LowerLimit', '-0.5')} .. {v.get('UpperLimit', '0.5')}",
-    "ZeroOrderHold": lambda v: "ZOH",
-    "DataTypeConversion": lambda v: v.get("OutDataTypeStr", "convert").replace(_INHERIT, "convert"),
-    "TransferFcn": lambda v: f"{v.get('Numerator', '[1]')} / {v.get('Denominator', '[1 1]')}",
-    "DiscreteTransferFcn": lambda v: f"{v.get('Numerator', '[1]')} / {v.get('Denominator', '[1 0.5]')}",
-    "SubSystem": lambda v: "",
-    "Selector": lambda v: "sel",
-    "Scope": lambda v: "scope",
-    "RandomNumber": lambda v: "noise",
-    "TransportDelay": lambda v: "delay",
-    "ToWorkspace": lambda v: v.get("VariableName", "simout"),
-    "FromWorkspace": lambda v: v.get("VariableName", "simin"),
-    "StateSpace": lambda v: "x' = Ax+Bu",
-    "Terminator": lambda v: "=",
-    "Ground": lambda v: "0",
-}  # fmt: skip
+_TEMPLATES = """
+Constant {Value=1}; Gain {Gain=1}; Integrator 1/s; DiscreteIntegrator K Ts/(z-1); UnitDelay 1/z;
+Delay z^-{DelayLength=2}; Memory memory; Derivative du/dt; Goto [{GotoTag=A}]; From [{GotoTag=A}];
+Math {Operator|Function=exp}; Trigonometry {Operator|Function=sin}; RelationalOperator {Operator|Function=>=};
+Logic {Operator|Function=AND}; MinMax {Function=min}; Abs |u|; Sqrt sqrt; Bias u + {Bias=0.0};
+Saturate {LowerLimit=-0.5} .. {UpperLimit=0.5}; ZeroOrderHold ZOH; DataTypeConversion {OutDataTypeStr=convert};
+TransferFcn {Numerator=[1]} / {Denominator=[1 1]}; DiscreteTransferFcn {Numerator=[1]} / {Denominator=[1 0.5]};
+SubSystem ; Selector sel; Scope scope; RandomNumber noise; TransportDelay delay; ToWorkspace {VariableName=simout};
+FromWorkspace {VariableName=simin}; StateSpace x' = Ax+Bu; Terminator =; Ground 0; Product {Inputs=2}
+"""
+# What stands in a block of a type: a text with its values, `{name=default}`; any other has its type.
+_INSIDE = dict(re.findall(r"\s*(\w+) ([^;\n]*)", _TEMPLATES))
+_VALUE = re.compile(r"\{(\w+)(?:\|(\w+))?=([^}]*)\}")
 
 
-def _factors(inputs: str) -> str:
-    return "x" if inputs.strip().isdigit() else inputs.replace("*", "x").replace("/", "÷")
+def _inside(block: SimulinkBlock) -> str:
+    """Return what stands in a block."""
+    values = block.values
+    if block.type in ("Inport", "Outport", "InportShadow"):
+        return values.get("Port", "1")
+    if block.type == "Sum":
+        signs = values.get("Inputs", "++")
+        return "+" * int(signs) if signs.strip().isdigit() and len(signs) < 3 else signs.replace("|", "")
+    if block.kind in CODED or block.type not in _INSIDE:
+        return block.kind
+    text = _VALUE.sub(lambda v: values.get(v[1], values.get(v[2] or "", v[3])), _INSIDE[block.type])
+    if block.type == "Product":
+        return "x" if text.strip().isdigit() else text.replace("*", "x").replace("/", "÷")
+    return text.replace("Inherit: Inherit via back propagation", "convert")
 
 
 def sheet_name(model: Model, path: str) -> str:
@@ -208,7 +195,7 @@ class _Sheet:
             yield f'<a href="{_text(link)}">'
         yield f"<title>{_text(f'{collapsed(block.name)}: {block.kind}')}</title>"
         yield self.outline(block, left, top, width, height)
-        inside = self.inside(block)
+        inside = _inside(block)
         if inside and block.type not in ("Mux", "Demux", "BusCreator"):
             yield _label(inside, x, top + height / 2 + 3.5, max(width - 2.0, 30.0))
         if block.system is not None and width > 60:
@@ -218,16 +205,6 @@ class _Sheet:
         if link:
             yield "</a>"
         yield "</g>"
-
-    def inside(self, block: SimulinkBlock) -> str:
-        if block.type in ("Inport", "Outport", "InportShadow"):
-            return block.values.get("Port", "1")
-        if block.type == "Sum":
-            signs = block.values.get("Inputs", "++")
-            return "+" * int(signs) if signs.strip().isdigit() and len(signs) < 3 else signs.replace("|", "")
-        if block.kind in ("MATLAB Function", "Chart"):
-            return block.kind
-        return _INSIDE[block.type](block.values) if block.type in _INSIDE else block.kind
 
     def outline(self, block: SimulinkBlock, left: float, top: float, width: float, height: float) -> str:
         if block.type in ("Mux", "Demux", "BusCreator", "BusSelector") and min(width, height) < 14:

@@ -70,7 +70,6 @@ LIBRARY = {
     "trace": "function t = trace(a)\nt = sum(diag(a));",
     "nnz": "function n = nnz(a)\nn = sum(a(:) ~= 0);",
     "dot": "function d = dot(a, b)\nd = a(:)' * b(:);",
-    "inv": "function x = inv(a)\nx = a \\ eye(size(a, 1));",
     "eul2rotm": """
     function R = eul2rotm(e, seq)
     if nargin < 2, seq = 'ZYX'; end

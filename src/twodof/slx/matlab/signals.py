@@ -447,6 +447,7 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "deg2rad": _each(_float(lambda x: x * (math.pi / 180.0))), "max": _extreme(True), "min": _extreme(False),
     "rad2deg": _each(_float(lambda x: x * (180.0 / math.pi))), "sum": _reduced(_add, _number),
     "prod": _reduced(_times, _number), "realsqrt": _each(_float(sqrt)), "linsolve": _solved,
+    "inv": lambda a: _solved(a, np.eye(len(a))),
     "any": _reduced(or_, lambda one: cast(one, "bool")), "all": _reduced(and_, lambda one: cast(one, "bool")),
     "mod": _each(_arithmetic(mod)), "rem": _each(_arithmetic(rem)), "isnan": _each(_is_nan),
     "isinf": _each(_float(lambda x: abs(x) == math.inf)), "isfinite": _each(_float(lambda x: abs(x) < math.inf)),
