@@ -8,8 +8,11 @@ places. When they are full, the person with the most connections loses the oldes
 from __future__ import annotations
 
 import asyncio
+import re
 import resource
 import time
+from collections import defaultdict
+from collections.abc import Callable
 from math import inf
 from typing import Any
 
@@ -20,8 +23,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from twodof.errors import LinkError
-from twodof.lab.access import Role
-from twodof.lab.turns import greediest
+from twodof.lab.access import STOP, Role, role_of
+from twodof.lab.settings import LabSettings
+from twodof.lab.turns import Turns, greediest
 
 HEAD_S, BODY_S, SEND_S = 10.0, 10.0, 30.0
 """Longest time for a request's head, for its body, and in which a client takes nothing of an answer [s]."""
@@ -34,8 +38,10 @@ OWN_FILES = 32
 ACCEPTED_AT_ONCE, ENDED_AT_ONCE = 4, 32
 PIECE = 4096
 """Bytes read at once [byte]: none of them keeps the event loop for long."""
-MOST_WORK_S, REST = 0.002, 8.0
-"""A piece that takes longer is followed by a rest: so many times longer, for each connection of the role."""
+READ_AT_ONCE, REST = 2, 16.0
+"""Pieces of a role that does not command are read in turns; after each, its turn rests so many times longer."""
+_TOKEN, _QUERY = re.compile(rb"earer +(\S{1,200})"), re.compile(rb"GET [^ ]{1,40}[?&]token=([^& ]{1,200})")
+_STOP = re.compile(rb"POST [^ ?]{1,100}" + STOP.encode())
 
 
 def raise_file_limit() -> int:
@@ -55,10 +61,6 @@ class Places:
             what = f"this process may open {files} files only"
             raise LinkError(what, "server", "raise the limit: `ulimit -n 1024`, then start it again")
         self._taken: dict[Role | None, dict[PlacedConnection, None]] = {role: {} for role in (None, *Role)}
-
-    def count(self, role: Role | None) -> int:
-        """Return the number of connections of a role."""
-        return len(self._taken[role])
 
     def take(self, one: PlacedConnection) -> None:
         """Give a connection a place among those of its role, and close another one if there are too many."""
@@ -85,10 +87,11 @@ class Places:
 
 
 class LabConfig(uvicorn.Config):
-    """Uvicorn's configuration with the places of its connections."""
+    """Uvicorn's configuration with the places of its connections, and the settings for their tokens."""
 
-    def __init__(self, app: ASGIApp, places: Places, **options: Any) -> None:
-        self.places = places
+    def __init__(self, app: ASGIApp, places: Places, settings: LabSettings, **options: Any) -> None:
+        self.places, self.settings = places, settings
+        self.lines = defaultdict[tuple[Role | None, bool], Turns](lambda: Turns(READ_AT_ONCE, 10_000, "server"))
         super().__init__(app, http=HttpConnection, ws=SocketConnection, backlog=ACCEPTED_AT_ONCE, **options)
 
 
@@ -109,7 +112,9 @@ class PlacedConnection(asyncio.Protocol):
     idle = False
     places = property(lambda self: self.config.places)
     reads = True  # False while earlier data wait for the application
+    take_in: Callable[[bytes], None]  # the protocol's
     _gone = False
+    _unread = b""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a place."""
@@ -126,25 +131,40 @@ class PlacedConnection(asyncio.Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Read a piece; a connection whose piece takes much processor time rests."""
-        began = time.thread_time()
-        super().data_received(data)
-        spent = time.thread_time() - began
-        if spent > MOST_WORK_S and self.role is not Role.COMMAND:
-            self.transport.pause_reading()
-            self.loop.call_later(spent * REST * self.places.count(self.role), self._go_on)
+        """Read what a commanding client sends at once; let the data of all others wait in line."""
+        if self.role is None:
+            found = _TOKEN.search(data) or _QUERY.match(data)
+            self.prove(role_of(found[1].decode("latin-1") if found else "", self.config.settings))
+        if self.role is Role.COMMAND and not self._unread:
+            self.take_in(data)
+            return
+        self.transport.pause_reading()
+        if not self._unread:
+            line = self.config.lines[self.role, self.role is not None and _STOP.match(data) is not None]
+            self._reading = self.loop.create_task(self._read(line))
+        self._unread += data
 
-    def _go_on(self) -> None:
-        if self.reads and not self.transport.is_closing():
-            self.transport.resume_reading()
+    async def _read(self, line: Turns) -> None:
+        """Read in turn what waits, then let more come; the wait counts for no time limit."""
+        left, self.due = self.due - time.monotonic(), inf
+        await line.take(self.person)
+        self.due, began = time.monotonic() + left, time.thread_time()
+        data, self._unread = self._unread, b""
+        try:
+            if not self.transport.is_closing():
+                self.take_in(data)
+                if self.reads and not self._unread:
+                    self.transport.resume_reading()
+        finally:
+            self.loop.call_later(REST * (time.thread_time() - began), line.give_back)
 
     @property
     def person(self) -> str:
         """Address of the client."""
         return "" if self.client is None else self.client[0]
 
-    def prove(self, role: Role) -> None:
-        """Move to the places of a role."""
+    def prove(self, role: Role | None) -> None:
+        """Move to the places of a role; None is that of a client that has not proved one."""
         if role is not self.role and not self._gone:
             self.places.leave(self)
             self.role = role
@@ -163,10 +183,10 @@ class HttpConnection(PlacedConnection, H11Protocol):
     idle = property(lambda self: self.cycle is None or self.cycle.response_complete)
     reads = property(lambda self: not self.flow.read_paused)
 
-    def data_received(self, data: bytes) -> None:
-        """Read a piece, and set the time for the rest of the head or body."""
+    def take_in(self, data: bytes) -> None:
+        """Give data to the protocol, and set the time for the rest of the head or body."""
         before = self.conn.their_state
-        super().data_received(data)
+        H11Protocol.data_received(self, data)
         self._set_due(len(data), self.conn.their_state is not before)
 
     def on_response_complete(self) -> None:
@@ -203,6 +223,7 @@ class SocketConnection(PlacedConnection, WebSocketsSansIOProtocol):
     """Web socket, which has a connection's place until it hears telemetry, and again while it is being closed."""
 
     reads = property(lambda self: not self.read_paused)
+    take_in = WebSocketsSansIOProtocol.data_received
 
     def keep(self) -> None:
         """Leave the connections' places for one among the clients of telemetry."""

@@ -15,14 +15,7 @@ from pydantic import Field
 from twodof.blocks.declarations import name_of_file
 from twodof.design.designed_controller import design_controller
 from twodof.design.pitch_family import PitchFamily
-from twodof.errors import (
-    ExperimentError,
-    IdentificationError,
-    LinkLost,
-    LogError,
-    Rejected,
-    Timeout,
-)
+from twodof.errors import ExperimentError, IdentificationError, LinkLost, LogError, Rejected, Timeout
 from twodof.excitation import KINDS, LIMITS, from_dict
 from twodof.experiment.expected_accuracy import expected_accuracy
 from twodof.experiment.experiments import EXPERIMENTS, LOOP, UNIT, Experiment, experiment

@@ -135,9 +135,8 @@ def compare(
 ) -> dict[str, Any]:
     """Compare flights, named by `paths`: the view, and the steps and the time 0 [s] of each, given as `zero` or found.
 
-    `names` has a name of each by what differs among them, as curves are called.
-
-    Flights without steps of one loop are aligned at their starts; `unaligned` says why. Raises LogError otherwise.
+    `names` has a name of each by what differs among them, as curves are called. Flights without steps of one loop are
+    aligned at their starts; `unaligned` says why. Raises LogError otherwise.
     """
     logs = {name: kept_log(path) for name, path in paths.items()}
     given = dict(zip(paths, zero, strict=False))

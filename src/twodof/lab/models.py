@@ -238,17 +238,10 @@ class TuningGuard:
         given, active = await self._named(one, changes)
         entries = await one.connection.parameters.entries()
         diagram = active.diagrams.get(ATTITUDE.name)
+        law = None if diagram is None else diagram.decode()
+        values = _own_names({entry.name: entry.value for entry in entries})
         bench = self._steps if what is predicted_step else self._bench
-        return await bench.do(
-            what,
-            _own_names({entry.name: entry.value for entry in entries}),
-            given,
-            None if diagram is None else diagram.decode(),
-            dict(active.paths),
-            document,
-            goal,
-            seconds=SECONDS,
-        )
+        return await bench.do(what, values, given, law, dict(active.paths), document, goal, seconds=SECONDS)
 
     async def close(self) -> None:
         """End the process that predicts steps."""
@@ -270,11 +263,8 @@ class TuningGuard:
             what = f"the model '{model}', which guards the drone, cannot judge this: {reason.what}"
             raise Rejected(what, where, "let no model guard the drone, and fly it with care") from reason
         if told["unstable"] and not hmac.compare_digest(confirm.encode(), self.token(model, told).encode()):
-            raise Rejected(
-                f"unstable within the uncertainty of the model '{model}'. {told['text']}",
-                where,
-                "choose other gains, or confirm these with the token of their preview",
-            )
+            what = f"unstable within the uncertainty of the model '{model}'. {told['text']}"
+            raise Rejected(what, where, "choose other gains, or confirm these with the token of their preview")
 
     async def _named(self, one: LabDrone, changes: Mapping[str, float]) -> tuple[dict[str, float], ActiveController]:
         """Return the changes by the parameters' names on board, and the active controller."""

@@ -47,6 +47,8 @@ LOOK_S = 0.05
 END_S = 1.0
 """Time that a process has to end its compiler and itself [s]."""
 TOLD_EVERY_S = 0.05
+LONG = 16_000
+"""Characters of a result that is read in a thread: the rest of it comes later than its first bytes."""
 Progress = Callable[[float, str], None]
 Told = Callable[[float, str, bool], None]
 Answer = TypeVar("Answer")
@@ -85,7 +87,10 @@ def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> N
     work, arguments, reports = first
     while True:
         try:
-            talk.send(("done", dumps(work(progress, *arguments) if reports else work(*arguments))))
+            done = dumps(work(progress, *arguments) if reports else work(*arguments))
+            if len(done) > LONG:
+                talk.send(("long",))
+            talk.send(("done", done))
         except (MemoryError, RecursionError):
             talk.send(("failed", False, "the memory of this computer does not suffice", "", "ask for less"))
         except Exception as fault:  # noqa: BLE001  the next question may be a good one
@@ -135,7 +140,9 @@ class _WorkProcess:
                     while not await _readable(talk):
                         if gone is not None and await gone():
                             raise Rejected("the client has left", "", "send the request again")
-                    kind, *rest = await asyncio.to_thread(talk.recv)
+                    kind, *rest = talk.recv()
+                    if kind == "long":
+                        kind, *rest = await asyncio.to_thread(talk.recv)
                     if kind != "progress":
                         break
                     if progress is not None:
@@ -289,13 +296,7 @@ class Jobs:
             raise NotThere("there is no such job, or it ended long ago", f"job {name[:40]}", "start it again")
         return job
 
-    def start(
-        self,
-        kind: str,
-        work: Callable[..., object],
-        *arguments: Any,
-        in_real_time: bool = False,
-    ) -> Job:
+    def start(self, kind: str, work: Callable[..., object], *arguments: Any, in_real_time: bool = False) -> Job:
         """Run `work(progress, *arguments)` in a process of its own; return its job at once.
 
         `work` is a function of a module, its arguments can be pickled, and it returns plain data for JSON. It calls

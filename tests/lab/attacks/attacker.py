@@ -12,7 +12,7 @@ import random
 import sys
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
-from itertools import repeat
+from itertools import chain, repeat
 from typing import Any
 
 from websockets.asyncio.client import connect
@@ -292,7 +292,7 @@ def frames(count: int, *pieces: bytes, then: float = 1e6) -> Attack:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
 
         async def write() -> None:
-            for piece in (*pieces, *repeat(pieces[-1])):
+            for piece in chain(pieces, repeat(pieces[-1])):
                 writer.write(piece)
                 await writer.drain()
                 await asyncio.sleep(then)
@@ -312,8 +312,8 @@ def frames(count: int, *pieces: bytes, then: float = 1e6) -> Attack:
     return run
 
 
-def headed(rows: str, path: str = "/api/drones") -> Callable[[int], bytes]:
-    return lambda port: head("GET", path, port)[:-2] + rows.encode() + b"\r\n"
+def headed(rows: str, path: str = "/api/drones", method: str = "GET") -> Callable[[int], bytes]:
+    return lambda port: head(method, path, port)[:-2] + rows.encode() + b"\r\n"
 
 
 MASKED = b"\0\0\0\0"
@@ -330,7 +330,13 @@ ATTACKS["http_2"] = bytes_sent(200, lambda _: b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n
 ATTACKS["half_closed_connections"] = bytes_sent(200, headed(""), half_closed=True)
 ATTACKS["encoded_dots"] = bytes_sent(64, headed("", "/" + "%2e%2e%2f" * 1500))
 ATTACKS["frames_never_ended"] = frames(16, b"\x01\x81" + MASKED + b"{", b"\0\x81" + MASKED + b" ", then=0.0)
+ATTACKS["chunks_of_a_byte"] = bytes_sent(
+    16, lambda port: headed("Transfer-Encoding: chunked\r\n", "/", "POST")(port) + b"1\r\na\r\n" * 200_000
+)
 ATTACKS["fragmented_pings"] = frames(32, b"\x09\x81" + MASKED + b"p", then=0.01)
+ATTACKS["pings_between_fragments"] = frames(
+    16, b"\x01\x81" + MASKED + b"{", (b"\x89\x81" + MASKED + b"p") * 500, then=0.0
+)
 ATTACKS["sockets_that_close_and_stay"] = frames(200, b"\x88\x82" + MASKED + b"\x03\xe8")
 
 

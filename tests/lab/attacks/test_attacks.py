@@ -26,19 +26,30 @@ from twodof.lab.settings import COMMAND_TOKEN, WATCH_TOKEN
 pytestmark = pytest.mark.slow
 QUICK = {"idle_connections", "many_harmonics", "many_streams", "compilations", "paths_that_end_as_a_kill"}
 PYTHON = sys.executable
-SAMPLES, MOST_S = 50, 0.3
+SAMPLES, MOST_S = 101, 0.3
+
+
+class Kills(NamedTuple):
+    """Median, 99th percentile and worst of the times of kills [s], infinite for one not confirmed."""
+
+    p50: float
+    p99: float
+    worst: float
+
+    def __str__(self) -> str:
+        return f"p50 {1e3 * self.p50:.0f}, p99 {1e3 * self.p99:.0f}, worst {1e3 * self.worst:.0f} ms"
 
 
 class Flown(NamedTuple):
-    """Server with a drone, and the longest time of a kill without an attack [s]."""
+    """Server with a drone, and the times of kills without an attack."""
 
     server: Served
     number: int
-    quiet: float
+    quiet: Kills
 
 
-def kills(server: Served, number: int, count: int = SAMPLES) -> float:
-    """Kill and release the drone; return the 99th percentile of the kills' times [s], infinite for one not confirmed.
+def kills(server: Served, number: int, count: int = SAMPLES) -> Kills:
+    """Kill and release the drone; return the kills' times.
 
     Half of the kills come over the page's connection, the others over new ones.
     """
@@ -56,7 +67,8 @@ def kills(server: Served, number: int, count: int = SAMPLES) -> float:
             if connection is not kept:
                 connection.close()
             assert server.ask("POST", f"/api/drones/{number}/release").status == 200
-    return sorted(times)[int(0.99 * count)]
+    times.sort()
+    return Kills(times[count // 2], times[int(0.99 * count)], times[-1])
 
 
 @contextmanager
@@ -77,7 +89,7 @@ def up(folder: Path, number: int) -> Iterator[tuple[Program, Served]]:
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
     with free_numbers(1) as first, up(tmp_path_factory.mktemp("up"), first + 1) as (_, server):
         kills(server, first + 1, 4)
-        yield Flown(server, first + 1, kills(server, first + 1, 20))
+        yield Flown(server, first + 1, kills(server, first + 1))
 
 
 @contextmanager
@@ -128,13 +140,13 @@ def test_kills_get_through_and_the_commander_flies(flown: Flown, name: str) -> N
             found = kills(flown.server, flown.number)
         # A busy computer delays everything: the same kills without the attack show by how much. Other tests come and
         # go meanwhile; a server that does not hold misses the limit each time.
-        most = MOST_S if found < MOST_S else max(MOST_S, 3 * kills(flown.server, flown.number))
-        if found < most:
+        most = MOST_S if found.p99 < MOST_S else max(MOST_S, 3 * kills(flown.server, flown.number).p99)
+        if found.p99 < most:
             break
     if path := os.environ.get("ATTACK_FIGURES"):
         with Path(path).open("a") as file:
-            file.write(f"{name} {1e3 * found:.0f} ms, without {1e3 * flown.quiet:.0f} ms\n")
-    assert found < most
+            file.write(f"{name}: {found}; without: {flown.quiet}\n")
+    assert found.p99 < most
 
 
 @pytest.mark.long
@@ -142,7 +154,7 @@ def test_few_descriptors_serve_the_stop_and_end(tmp_path: Path) -> None:
     with free_numbers(1) as first, pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "executable", str(_limited(tmp_path)))
         with up(tmp_path, first + 1) as (running, server):
-            with attacked(Flown(server, first + 1, 0.0), "idle_connections"):
+            with attacked(Flown(server, first + 1, kills(server, first + 1, 4)), "idle_connections"):
                 kills(server, first + 1, 4)
             running.process.send_signal(signal.SIGTERM)
             assert running.ended() == 0

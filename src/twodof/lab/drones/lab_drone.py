@@ -226,9 +226,8 @@ class LabDrone:
         self.number = session.system
         session.on(lambda line: self.say(line.severity, line.text), StatusText)
         # Subscriptions are gone after a restart: a new session asks for all of them again.
-        session.on(
-            lambda _: session.end(LinkLost("it has restarted", session.url, "try again in a moment")), DroneRestarted
-        )
+        restarted = LinkLost("it has restarted", session.url, "try again in a moment")
+        session.on(lambda _: session.end(restarted), DroneRestarted)
         self._connection = DroneConnection(drone, self, self._settings.folder)
         for line in drone.messages:  # of the time in which it was connected
             self.say(line.severity, line.text)

@@ -203,12 +203,9 @@ async def rehearsal(lab: CurrentLab, asked: RehearsalRequest) -> dict[str, Any]:
 async def flash(lab: CurrentLab, asked: FlashRequest) -> dict[str, Any]:
     """Start a job that flashes a rehearsed diagram. It takes up to two minutes: the drone builds it.
 
-    The job can be ended while the diagram is sent; then the controller before flies on.
-
-    While the drone builds it the job is `bound`.
-
-    409 for a diagram that was not rehearsed for this drone, and for an unstable one without `force`.
-    409 also while the drone is armed, and while another diagram is flashed there.
+    The job can be ended while the diagram is sent, then the controller before flies on; while the drone builds it the
+    job is `bound`. 409 for a diagram that was not rehearsed for this drone, for an unstable one without `force`, while
+    the drone is armed, and while another diagram is flashed there.
     """
     where = f"drone {asked.drone}"
     job = lab.jobs[asked.rehearsal]

@@ -118,9 +118,8 @@ async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> 
 async def fitted(lab: CurrentLab, asked: FitRequest) -> dict[str, Any]:
     """Start a job that identifies from a log by output error and by hand; its result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
-        raise ParameterError(
-            f"nothing is identified from {shown(asked.kind)}", "kind", f"choose one of {listed(KINDS)}"
-        )
+        what = f"nothing is identified from {shown(asked.kind)}"
+        raise ParameterError(what, "kind", f"choose one of {listed(KINDS)}")
     impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
     others = [str(lab.whole_log(name)) for name in asked.others]
     given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance, asked.prior)

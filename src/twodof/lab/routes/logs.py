@@ -74,8 +74,7 @@ async def compare(
 
 @router.get("/zip", response_class=Response)
 async def zip_file(
-    lab: CurrentLab,
-    name: Annotated[list[LogName], Query(max_length=MOST_ZIPPED, description="Name of each log.")],
+    lab: CurrentLab, name: Annotated[list[LogName], Query(max_length=MOST_ZIPPED, description="Name of each log.")]
 ) -> Response:
     """Download several logs, each in its own format, in one zip file, which is sent while it is written."""
     paths = {one.replace(":", "/"): lab.whole_log(one) for one in name}

@@ -255,10 +255,7 @@ def _model(lab: CurrentLab, one: NamedDrone, asked: ChangesRequest) -> str:
 
 @tuning_router.post("/{number}/measured", dependencies=[WATCHERS_MAY])
 async def measured(
-    lab: CurrentLab,
-    one: NamedDrone,
-    log: Annotated[LogName, Body()],
-    goal: Annotated[StepSize, Body()] = USUAL_STEP,
+    lab: CurrentLab, one: NamedDrone, log: Annotated[LogName, Body()], goal: Annotated[StepSize, Body()] = USUAL_STEP
 ) -> dict[str, Any]:
     """Return the steps of theta in a log, each shifted and scaled to go from 0 to `goal` [rad].
 

@@ -82,9 +82,8 @@ async def rows(
     lockstep, whose time is not this computer's.
     """
     if one.drone.session.lockstep:
-        raise Rejected(
-            "its time passes in lockstep", f"drone {one.drone.session.system}", "start it without --lockstep"
-        )
+        where = f"drone {one.drone.session.system}"
+        raise Rejected("its time passes in lockstep", where, "start it without --lockstep")
     async with one.drone.batches.rows(BatchRows(tuple(column)), channel_mask(column)) as taken:
         await asyncio.sleep(seconds)
     values = dict(zip(taken.columns, taken.values.T.tolist(), strict=True))
