@@ -218,11 +218,11 @@ def test_schroeders_phases_lower_the_crest() -> None:
         (lambda: Multisine(1.0, (1, 1), (0.1, 0.1), (0.0, 0.0)), "different whole numbers from 1 on"),
         (lambda: Multisine(1.0, (200,), (0.1,), (0.0,)), "200 Hz cannot be played"),
         (lambda: Multisine(1.0, (1, 2), (0.1,), (0.0, 0.0)), "multisine.amplitudes: there are 1 for 2 harmonics"),
-        (lambda: Multisine.schroeder(0.1, 1.0, ()), "not every harmonic has a power"),
+        (lambda: Multisine.schroeder(0.1, 1.0, ()), "the powers of the harmonics are not all"),
         (lambda: Multisine.schroeder(0.1, 1.0, (1, 0)), "whole numbers from 1"),
         (
             lambda: Multisine.schroeder(0.1, 1.0, (1, 2), powers=(1.0, -1.0)),
-            "not every harmonic has a power of 0 or more",
+            "the powers of the harmonics are not all 0 or more",
         ),
         (lambda: Doublet(0.1, 1.0).at(float("nan")), "doublet.t: a time is NaN"),
         (lambda: Doublet(0.1, 1.0).samples(0.0), "doublet.period: 0 s"),

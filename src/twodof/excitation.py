@@ -367,7 +367,7 @@ class Multisine(Excitation):
         power = np.ones(len(lines)) if powers is None else np.asarray(tuple(powers), dtype=np.float64)
         if not lines or power.shape != (len(lines),) or not (np.all(power >= 0.0) and 0.0 < power.sum() < np.inf):
             raise ExperimentError(
-                "not every harmonic has a power of 0 or more, or all are 0",
+                "the powers of the harmonics are not all 0 or more, or are all 0",
                 f"{cls.kind}.powers",
                 "give one power for each harmonic",
             )

@@ -1,4 +1,4 @@
-"""Gains of the cascade's loops: named sets, JSON files, and the parameters that they set."""
+"""Gains of the cascade's loops: the stock (default) gains, named sets, JSON files, and the parameters that they set."""
 
 import json
 from collections.abc import Mapping

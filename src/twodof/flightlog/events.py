@@ -177,7 +177,9 @@ def modes(log: FlightLog) -> list[Stretch]:
         else:
             merged.append(Stretch(float(time[start]), float(end), mode))
     if len(merged) > MAX_STRETCHES:
-        raise LogError(f"{len(merged)} stretches of one mode", log.source, "this is not a flight log")
+        raise LogError(
+            f"{len(merged)} stretches of one mode", log.source, "this is not a flight log: give another file"
+        )
     return merged
 
 
@@ -262,7 +264,7 @@ def _open(log: FlightLog, time: NDArray[np.float64], on: NDArray[np.bool_]) -> N
 
 def _check_count(count: int, what: str, where: str) -> None:
     if count > MAX_EVENTS:
-        raise LogError(f"more than {MAX_EVENTS} {what}", where, "this is not a flight log")
+        raise LogError(f"more than {MAX_EVENTS} {what}", where, "this is not a flight log: give another file")
 
 
 def _run_starts(values: NDArray[np.generic]) -> NDArray[np.intp]:

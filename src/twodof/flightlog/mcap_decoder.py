@@ -176,7 +176,9 @@ class _Walk:
             raise LogError(why, self._where, RECOVER)
         self.contents.lost.append(Loss(at, size, why))
         if len(self.contents.lost) > MAX_CHANNELS:
-            raise LogError(f"more than {MAX_CHANNELS} damaged parts", self._where, "nothing can be trusted in it")
+            raise LogError(
+                f"more than {MAX_CHANNELS} damaged parts", self._where, "copy the file again from where it was recorded"
+            )
 
     def _after_damage(self, at: int, end: int) -> int:
         """Return where to go on after the damaged record at byte `at`, which by its length ends at `end`.

@@ -67,7 +67,7 @@ class Recorder(AppendOnlyFile):
     ) -> None:
         streams = named(topics)
         if not streams or any(stream.stamped for stream in streams.values()):
-            raise LogError("no topic, or one with stamps in seconds", str(path), "name topics to record")
+            raise LogError("no topic is named, or a topic has stamps in seconds", str(path), "name topics to record")
         note = kept_json(dict(provenance or {}), str(path))
         self._slots = {name: _Slot(k, stream) for k, (name, stream) in enumerate(streams.items())}
         self._encoder = McapEncoder(list(streams.values()))

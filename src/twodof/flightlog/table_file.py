@@ -289,7 +289,7 @@ def _is_long(names: Sequence[str]) -> bool:
 
 def _check_names(names: Sequence[str], where: str) -> None:
     if len(names) > MAX_COLUMNS:
-        raise LogError(f"more than {MAX_COLUMNS} columns", where, "this is not a flight log")
+        raise LogError(f"more than {MAX_COLUMNS} columns", where, "this is not a flight log: give another file")
     if len(set(names)) != len(names):
         raise LogError(f"two columns have one name: {', '.join(names)[:200]}", where, "rename one of them")
 

@@ -176,7 +176,9 @@ def _stretches(data: bytes, where: str, salvage: bool, found: ULogContents) -> I
             yield start, sound
         found.lost.append(Loss(sound, resume - sound, "the last message is cut off" if ends else "rubbish"))
         if len(found.lost) > MAX_LOST:
-            raise LogError(f"more than {MAX_LOST} damaged parts", where, "nothing can be trusted in it")
+            raise LogError(
+                f"more than {MAX_LOST} damaged parts", where, "copy the file again from where it was recorded"
+            )
         start = at = resume
     if min(at, size) > start:
         yield start, at

@@ -26,7 +26,7 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
     effect = np.linalg.norm(jacobian, axis=0) * scale
     if not np.isfinite(effect).all():
         raise IdentificationError(
-            "the model's sensitivities are not finite: beside the estimate it is unstable, or far faster than a step",
+            "the model's sensitivities are not finite: close to the estimate it is unstable, or far faster than a step",
             where,
             "choose another first guess, or a structure with fewer states",
         )

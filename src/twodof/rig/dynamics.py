@@ -3,7 +3,7 @@
 Sliding friction acts as an impulse at the end of the step, clamped so that it stops the motion and never reverses it.
 The position moves as if the friction had acted evenly over the step. A body at rest is held in `derivative`: its
 acceleration is exactly 0 while the load stays within the friction or presses against a stop. So it stays at rest to
-the bit.
+the bit. End stops with their restitution, and the rings that lock the cart (1DoF), act at the end of the step too.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Rotors and their battery."""
+"""Rotors: delay and lag of a command, thrust curve, trim moment of the wake; and the battery."""
 
 from typing import Any
 

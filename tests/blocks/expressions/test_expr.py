@@ -51,7 +51,7 @@ def test_a_condition_on_a_recorded_value_names_block_and_line() -> None:
         (lambda: X**2, "x \\* x"),
         (lambda: math.sin(X), "sin"),
         (lambda: X & Y, "it takes"),
-        (lambda: X[0], "arrays"),
+        (lambda: X[0], "index an array"),
         (lambda: range(I), "constant"),
         (lambda: vector([X, I]), "to_real"),
         (lambda: X + np.zeros((1, 1, 1)), "vector"),

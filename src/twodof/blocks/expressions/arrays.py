@@ -59,7 +59,7 @@ def store(array: Any, index: Any, value: Any) -> Any:
     if traced(array, index, value):
         base = array if isinstance(array, Expr) else vector(list(array))
         if base.width is None:
-            raise fault("store into a scalar", "only arrays have elements")
+            raise fault("store into a scalar", "give an array, made with vector([...])")
         item = as_expr(value, base.kind)
         scalars("store", item)
         return node("store", base.kind, (base, position(index, base.width), item), None, base.width)

@@ -94,17 +94,17 @@ class Expr(Refusals, Operators):
 
     def __iter__(self) -> Iterator[Expr]:
         if self.width is None:
-            raise fault("a scalar is iterated over", "only arrays have elements")
+            raise fault("a scalar is iterated over", "iterate over an array, made with vector([...])")
         return (self[i] for i in range(self.width))
 
     def __len__(self) -> int:
         if self.width is None:
-            raise fault("a scalar has no length", "only arrays have elements")
+            raise fault("a scalar has no length", "give an array, made with vector([...])")
         return self.width
 
     def __getitem__(self, index: Any) -> Any:
         if self.width is None:
-            raise fault(f"a scalar {self.kind} is indexed", "only arrays have elements")
+            raise fault(f"a scalar {self.kind} is indexed", "index an array, made with vector([...])")
         if isinstance(index, (slice, tuple)):
             return rules.part(self, index)
         return node("select", self.kind, (self, position(index, self.width)))

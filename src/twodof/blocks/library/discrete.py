@@ -152,9 +152,7 @@ def quotient(numerator: Any, denominator: Any, least: int = 1, proper: bool = Tr
     if proper:
         top = top[leading_zeros(top) :]
     if proper and len(top) > len(bottom):
-        raise DiagramError(
-            "the numerator's degree is above the denominator's", "", "a proper transfer function can be computed"
-        )
+        raise DiagramError("the numerator's degree is above the denominator's", "", "give a proper transfer function")
     if bottom[0] == 0.0:
         raise DiagramError("the first coefficient of the denominator is 0", "", "leave zeros out")
     order = max(len(top), len(bottom)) - 1

@@ -247,7 +247,7 @@ class Loader:
         step = self.tick + (STAGES * (self.edges + 1) * self.stage if self.integrates else 0)
         if max(step, self.prepared) > MAX_OPERATIONS:
             raise DiagramError(
-                f"a step of more than {MAX_OPERATIONS} operations (of an integration {STAGES} times those of its "
+                f"a step of more than {MAX_OPERATIONS} operations (an integration counts {STAGES} times those of its "
                 "derivatives for each edge inside the step)",
                 "",
                 "make loops and arrays shorter",
