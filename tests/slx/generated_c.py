@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Diagram
-from twodof.blocks.library import Atan2, Trigonometry
+from twodof.blocks.library import Atan2, Power, Trigonometry
 from twodof.compile import build
 
 TYPES: dict[str, Any] = {
@@ -24,7 +24,7 @@ TYPES: dict[str, Any] = {
     "uint32_T": ctypes.c_uint32,
 }  # fmt: skip
 REAL = (ctypes.c_float, ctypes.c_double)
-PLACES = {"sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "atan2": 2}
+PLACES = {"sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "atan2": 2, "pow": 2}
 """Elementary functions, with the number of their arguments."""
 FLAGS = ("-std=gnu11", "-O1", "-ffp-contract=off", "-fno-builtin", "-w", "-shared", "-fPIC")
 HEAD = (
@@ -99,7 +99,7 @@ def built(folder: Path, files: Sequence[str], made: Path, single: bool) -> Gener
 
 
 def _ours(name: str, places: int, single: bool) -> Any:
-    d, block = Diagram(name), Atan2() if places == 2 else Trigonometry(name)
+    d, block = Diagram(name), {"atan2": Atan2, "pow": Power}[name]() if places == 2 else Trigonometry(name)
     for port in block.inputs:
         d.input(port.name)
     d.add("f", block, inputs={port.name: port.name for port in block.inputs})

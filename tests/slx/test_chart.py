@@ -121,6 +121,20 @@ def test_nested_states_act_in_stateflows_order(tmp_path: Path) -> None:
     assert_log(chart(tmp_path, "".join(NESTED)), ticks)
 
 
+def test_a_change_is_one_since_the_tick_before(tmp_path: Path) -> None:
+    """Of the only state, which needs no default transition; a condition goes on behind three dots."""
+    inner = [
+        state(3, f"B\nentry: {said(2)}"),
+        state(4, f"C\nentry: {said(3)}"),
+        way(11, None, 3),
+        way(12, 3, 4, "[hasChanged(u) ...\n && hasChangedTo(v, 1)]"),
+        way(13, 4, 3, "[hasChangedFrom(u, 2)]"),
+    ]
+    ticks = [(1.0, 1.0, "12"), (1.0, 1.0, ""), (2.0, 1.0, ""), (3.0, 0.0, ""), (2.0, 1.0, "3"), (2.0, 1.0, ""),
+             (3.0, 1.0, "2")]  # fmt: skip
+    assert_log(chart(tmp_path, state(1, f"A\nentry: {said(1)}", "".join(inner))), ticks)
+
+
 def test_conditions_at_junctions_lead_back_and_their_actions_stay(tmp_path: Path) -> None:
     parts = [
         state(1, f"A\nduring: {said(1)}"),
@@ -322,7 +336,7 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
         (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "E[u > 0]"), "", "events are not translated"),
         (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "[in(A)]"), "", "the transition [in(A)]: A has no value"),
         (way(1, None, 2) + state(2, "A") + way(3, 2, 4) + junction(4), "", "it ends at a junction"),
-        (state(2, "A"), "", "the chart: it has no default transition"),
+        (state(2, "A") + state(3, "B"), "", "the chart: it has no default transition"),
         (way(1, None, 2) + state(2, "A") + '<event name="E"/>', "", "the event E is not translated"),
         (
             way(1, None, 2)

@@ -262,11 +262,12 @@ def test_a_table_of_signals_is_looked_up(tmp_path: Path, method: str, wanted: Wa
         ("Sqrt", "signedSqrt", lambda u: np.sign(u) * np.sqrt(abs(u))),
         ("Sqrt", "rSqrt", lambda u: 1.0 / np.sqrt(u)),
         ("Math", "log10", np.log10),
+        ("Math", "sqrt", lambda u: np.sign(u) * np.sqrt(abs(u))),
         ("MATLABFcn", "sinc", np.sinc),
     ],
 )
 def test_functions_of_numbers_are_numpys(tmp_path: Path, kind: str, name: str, wanted: Wanted) -> None:
-    given = DRAWN[0] if name == "signedSqrt" else abs(DRAWN[0]) + 0.1
+    given = DRAWN[0] if name in ("signedSqrt", "sqrt") else abs(DRAWN[0]) + 0.1
     found = run(one_block(tmp_path, kind, {"Operator": name, "MATLABFcn": name}, ("double",)), [given])
     assert np.allclose(found, wanted(given), rtol=1e-14, atol=1e-14)
 

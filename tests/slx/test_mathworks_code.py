@@ -132,13 +132,21 @@ def test_sines_of_the_yaw_stay_within_two_units_in_the_last_place(tmp_path: Path
 
 @dataclass(frozen=True)
 class Pair:
-    """A controller of FMT-Model, and the C of its version in FMT-Firmware: commits, version, period [s]."""
+    """A controller or filter of FMT-Model, and the C of its version in FMT-Firmware: commits, version, period [s]."""
 
     name: str
     model: str
     code: str
     version: str
     period: float = 0.002
+    part: str = "Controller"
+
+    @property
+    def folders(self) -> tuple[str, str]:
+        """The folders of the model, and of the C."""
+        kind = {"Controller": "control", "INS": "ins"}[self.part]
+        beside = {"Controller": "controller", "INS": "ins"}[self.part]
+        return f"model/{self.part}/{self.name}-{self.part}", f"src/model/{kind}/{self.name.lower()}_{beside}/lib"
 
 
 PAIRS = [
@@ -151,10 +159,15 @@ PAIRS = [
     Pair("MC", "f09f371", "3b6e900", "1.1001"),
     Pair("VTOL", "413929b", "102edd7", "1.859"),
     Pair("Submarine", "f09f371", "19dd53b", "1.1007"),
+    Pair("CF", "c38f0a0", "165555c", "1.4482", part="INS"),
 ]
+STRUCTURES = {
+    "Controller": ("ExtU", "ExtY", "DW", "DW"),
+    "INS": ("ExternalInputs", "ExternalOutputs", "D_Work", "DWork"),
+}
+"""Of a part's C the types of inputs, outputs and states, and the name of the states."""
 SPANS = {"reset": (0, 2), "ctrl_mode": (0, 9), "status": (0, 4), "state": (0, 8)}
 """Whole numbers of inputs that mean something, from the first to before the last."""
-FILES = ("Controller.c", "Controller_data.c")
 
 
 def taken(repository: str, commit: str, folder: str, made: Path) -> Path:
@@ -171,28 +184,33 @@ def controller(one: Pair, made: Path) -> Imported:
     """Import a controller with its buses and parameters."""
     repository = "Firmament-Autopilot+FMT-Model"
     buses, library = (taken(repository, one.model, name, made) for name in ("bus", "lib"))
-    folder = taken(repository, one.model, f"model/Controller/{one.name}-Controller", made)
+    folder = taken(repository, one.model, one.folders[0], made)
     names: dict[str, Value] = {}
     for script in (*sorted(buses.glob("*.m")), *sorted(folder.glob("*_init.m"))):
-        read_workspace(script, names)
-    model = read_model(folder / "Controller.slx")
+        read_workspace(script, names, [folder])
+    model = read_model(folder / f"{one.part}.slx")
     assert model.version == one.version
     return import_system(model, "", names, [folder, library, buses / "enum"], one.period)
 
 
 @pytest.mark.parametrize("one", PAIRS, ids=[f"{one.name} {one.version}" for one in PAIRS])
-def test_a_controller_of_firmament_has_the_bits_of_mathworks_c(tmp_path: Path, one: Pair) -> None:
+def test_a_part_of_firmament_has_the_bits_of_mathworks_c(tmp_path: Path, one: Pair) -> None:
     """2,000 steps of outputs and of all states that have one here."""
-    folder = f"src/model/control/{one.name.lower()}_controller/lib"
-    folder = taken("Firmament-Autopilot+FMT-Firmware", one.code, folder, tmp_path / "c")
-    assert re.search(rf"Model version\s*: {one.version}$", (folder / FILES[0]).read_text("utf-8"), re.MULTILINE)
-    code = built(folder, [name for name in FILES if (folder / name).exists()], tmp_path, single=True)
-    inputs, outputs, memory = (code.at(f"{kind}_Controller_T", f"Controller_{kind.removeprefix('Ext')}")
-                               for kind in ("ExtU", "ExtY", "DW"))  # fmt: skip
+    part, files = one.part, [f"{one.part}.c", f"{one.part}_data.c"]
+    folder = taken("Firmament-Autopilot+FMT-Firmware", one.code, one.folders[1], tmp_path / "c")
+    assert re.search(rf"Model version\s*: {one.version}$", (folder / files[0]).read_text("utf-8"), re.MULTILINE)
+    code = built(folder, [name for name in files if (folder / name).exists()], tmp_path, single=True)
+    *types, kept_in = STRUCTURES[part]
+    inputs, outputs, memory = (code.at(f"{kind}_{part}_T", f"{part}_{name}")
+                               for kind, name in zip(types, ("U", "Y", kept_in), strict=True))  # fmt: skip
     found = controller(one, tmp_path)
     assert found.diagram is not None, found.refused
-    program = build(found.diagram, dt=found.dt, precision="float32")
-    states = code.states("DW_Controller_T", {path: state.width or 1 for path, (state, _) in program.states.items()})
+    mixed = part == "INS"
+    program = build(found.diagram, dt=found.dt, precision="float64" if mixed else "float32")
+    widths = {path: state.width or 1 for path, (state, _) in program.states.items()}
+    # A delay whose first values come by a port keeps them beside its buffer here.
+    widths = {path: width for path, width in widths.items() if not re.search(r"\.inside\.(past|y)\.", path)}
+    states = code.states(f"{types[-1]}_{part}_T", widths)
     assert len(states) >= 4
     draw, machine = np.random.default_rng(7), program.machine()
     columns = [
@@ -200,12 +218,12 @@ def test_a_controller_of_firmament_has_the_bits_of_mathworks_c(tmp_path: Path, o
         for path, holder, name, kind, count in leaves(inputs)
         if path in machine.inputs
     ]
-    code.library.Controller_init()
+    getattr(code.library, f"{part}_init")()
     wanted, given = [], []
     for k in range(STEPS):
         for _, holder, name, column, count in columns:
             setattr(holder, name, (type(getattr(holder, name))(*column[k].tolist()) if count > 1 else column[k].item()))
-        code.library.Controller_step()
+        getattr(code.library, f"{part}_step")()
         ours = machine.step({path: column[k].tolist() if count > 1 else column[k].item()
                              for path, _, _, column, count in columns})  # fmt: skip
         theirs = {path: value(holder, name) for path, holder, name, _, _ in leaves(outputs)}

@@ -538,7 +538,7 @@ def test_a_structure_is_a_bus_and_a_state_by_its_fields() -> None:
         ("y = u; for i = 1:60\n y = [y; y];\n end", "takes more than 200000 operations on elements of signals"),
         ("A = ones(90, 90)*u; B = A*A; y = B(1, 1);", "takes more than 200000 operations on elements of signals"),
         ("y = u; for i = 1:300\n for j = 1:300\n y = y*1.1;\n end\n end", "takes more than 50000 operations"),
-        ("y = u;\n" + "if u > 0\n" * 60 + "y = 1;\n" + "end\n" * 60, "blocks stand in each other too deep"),
+        ("y = u;\n" + "if u > 0\n" * 70 + "y = 1;\n" + "end\n" * 70, "blocks stand in each other too deep"),
         ("y = zeros(1e5, 1e5)*u;", "too many elements"),
         ("y = f(u);", "functions call each other too deep"),
         ("system('touch /tmp/x'); y = u;", "system is not computed"),

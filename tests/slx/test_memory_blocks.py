@@ -93,6 +93,21 @@ def test_an_accumulator_takes_no_period(tmp_path: Path) -> None:
     assert np.array_equal(run(tmp_path, "DiscreteIntegrator", values, [DRAWN[0]])["y1"], wanted)
 
 
+@pytest.mark.parametrize("ported", [False, True])
+def test_a_delay_begins_with_what_its_port_gives(tmp_path: Path, ported: bool) -> None:
+    """Its first values, and those after a rising edge, are what the port gave then."""
+    length = np.full(STEPS, 3.0)
+    values = {"InitialConditionSource": "Input port", "ExternalReset": "Rising", "DelayLength": "3"}
+    values |= {"DelayLengthSource": "Input port", "DelayLengthUpperLimit": "9"} if ported else {}
+    wanted, kept = [], list[float]()
+    for k, clear in enumerate(resets(CONTROL, "rising")):
+        kept = [float(DRAWN[1][k])] * 3 if clear or not k else kept
+        wanted.append(kept[0])
+        kept = [*kept[1:], float(DRAWN[0][k])]
+    found = run(tmp_path, "Delay", values, [DRAWN[0], *[length] * ported, CONTROL, DRAWN[1]])
+    assert np.array_equal(found["y1"], wanted)
+
+
 @pytest.mark.parametrize("edge", EDGES)
 def test_an_integrator_starts_afresh_and_is_wrapped(tmp_path: Path, edge: str) -> None:
     values = {"ExternalReset": edge, "InitialCondition": "1", "WrapState": "on"}

@@ -280,6 +280,25 @@ def saturated(values: np.ndarray, kind: str) -> np.ndarray:
     return np.clip(values, limits.min, limits.max).astype(kind)
 
 
+def relayed(u: np.ndarray) -> list[int]:
+    """1 from 20 on, -3 from -20 down, else as before."""
+    found, on = list[int](), False
+    for one in u:
+        on = one >= 20 or (on and one > -20)
+        found.append(1 if on else -3)
+    return found
+
+
+def counted(u: np.ndarray, clear: np.ndarray) -> list[int]:
+    """The sum of truths so far, between 1 and 3, and afresh where `clear` falls."""
+    found, x, before = list[int](), 0, False
+    for one, now in zip(u, clear, strict=True):
+        x = min(max(0 if before and not now else x, 1), 3)
+        found.append(x)
+        x, before = min(x + one, 3), now
+    return found
+
+
 WRAP, SATURATE = {"SaturateOnIntegerOverflow": "off"}, {"SaturateOnIntegerOverflow": "on"}
 
 
@@ -313,6 +332,29 @@ def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
          (INT8 + 128) * 257 * (33554 / 2**25)),
         (("Gain", {"Gain": ".1", "OutDataTypeStr": "double", "ParamDataTypeStr": "double"}), ("int16",), (INT8,),
          0.1 * INT8),
+        (("Gain", {"Gain": "-.001", "OutDataTypeStr": "double"}), ("int16",), (INT8 * 255,),
+         INT8 * 255 * (-16777 / 2**24)),
+        (("Gain", {"Gain": ".3", "OutDataTypeStr": "double"}), ("boolean",), (OTHER > 0,), 0.3 * (OTHER > 0)),
+        (("Sum", {"Inputs": "++", "OutDataTypeStr": "Inherit: Inherit via internal rule", **WRAP}),
+         ("uint8", "boolean"), (INT8 + 128, OTHER > 0), wrapped(INT8 + 128 + (OTHER > 0), "uint8")),
+        (("Logic", {"Operator": "OR", "OutDataTypeStr": "uint8"}), ("boolean", "int8"), (OTHER > 50, INT8),
+         (OTHER > 50) | (INT8 != 0)),
+        (("Relay", {"OnSwitchValue": "20", "OffSwitchValue": "-20", "OffOutputValue": "-3"}), ("int8",), (OTHER,),
+         relayed(OTHER)),
+        (("Reference", {"SourceBlock": "simulink/Logic and Bit Operations/Interval Test", "lowlimit": "[-9 3]",
+                        "uplimit": "[5 90]"}), ("int8",), (OTHER,),
+         (OTHER[:, None] >= [-9, 3]) & (OTHER[:, None] <= [5, 90])),
+        (("Reference", {"SourceBlock": "simulink/Logic and Bit Operations/Detect Increase"}), ("uint32",),
+         ((OTHER + 128) << 24,), np.diff(OTHER, prepend=-128) > 0),
+        (("Reference", {"SourceBlock": "simulink/Logic and Bit Operations/Detect Rise Positive", "vinit": "1"}),
+         ("boolean",), (OTHER > 0,), (OTHER > 0) & ~np.r_[True, OTHER[:-1] > 0]),
+        (("LookupNDDirect", {"NumberOfTableDimensions": "2", "Table": "[1 2 3;4 5 6]"}), ("uint8", "uint8"),
+         ((INT8 + 128) % 4, (OTHER + 128) % 3),
+         np.array([[1, 2, 3], [4, 5, 6]])[np.minimum((INT8 + 128) % 4, 1), (OTHER + 128) % 3]),
+        (("DiscreteIntegrator", {"IntegratorMethod": "Accumulation: Forward Euler", "OutDataTypeStr": "uint32",
+                                 "ExternalReset": "falling", "LimitOutput": "on", "UpperSaturationLimit": "3",
+                                 "LowerSaturationLimit": "1"}), ("boolean", "boolean"), (OTHER > -60, OTHER > 0),
+         counted(OTHER > -60, OTHER > 0)),
         (("Abs", SATURATE), ("int8",), (INT8,), saturated(np.abs(INT8), "int8")),
         (("Abs", WRAP), ("int8",), (INT8,), wrapped(np.abs(INT8), "int8")),
         (("UnaryMinus", SATURATE), ("int8",), (INT8,), saturated(-INT8, "int8")),

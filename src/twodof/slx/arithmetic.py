@@ -81,8 +81,8 @@ def whole(c: Asked, of: Callable[..., Any], default: str = "Inherit: Same as fir
     if said.startswith("Inherit: Same as"):
         kind = c.inputs[0].number
     elif said.startswith("Inherit"):
-        kind = "real" if "real" in kinds else min(kinds)
-        if kind != "real" and len(kinds) > 1:
+        kind = "real" if "real" in kinds else min(kinds - {"bool"} or {"int32"})
+        if kind != "real" and len(kinds - {"bool"}) > 1:
             raise NotTranslated(f"OutDataTypeStr = {said!r} of {' and '.join(sorted(kinds))} is not translated")
     else:
         kind = str(_kind(c, said))
@@ -150,10 +150,13 @@ def whole_gain(c: Asked, gain: float) -> Made | None:
     if kind.name == "bool" and said.startswith("Inherit: Inherit via internal"):
         c.values["OutDataTypeStr"], real = "double", True
         c.notes.append("the internal rule for a boolean and a number: double")
-    if not real and not gain.is_integer() and gain > 0.0 == kind.low and said in ("single", "double"):
+    real |= kind.name == "bool" and said in ("single", "double")
+    if not real and (gain > 0.0 or (gain < 0.0 and kind.low < 0)) and said in ("single", "double"):
         # The gain is a whole number of as many bits, scaled by the smallest power of two that it fits.
-        scale = 2.0 ** math.floor(math.log2((kind.high + 0.5) / gain))
-        gain, real = math.floor(gain * scale + 0.5) / scale, True
+        most = kind.high + 0.5 if gain > 0.0 else kind.low - 0.5
+        scale, result = 2.0 ** math.floor(math.log2(most / gain)), kind_of(said, c.names)
+        gain = math.floor(gain * scale + 0.5) / scale
+        return formula(c, lambda t, u: gain * convert(u, str(result)), str(result))
     if not real and not gain.is_integer():
         raise NotTranslated(f"Gain = {gain:g} of {c.inputs[0]} is not translated: its scaling is not known")
     return whole(c, lambda u: u * gain)

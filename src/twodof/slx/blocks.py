@@ -16,7 +16,8 @@ import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
-from twodof.blocks.elementary.functions import log
+from twodof.blocks.elementary.functions import floor, log
+from twodof.blocks.elementary.functions import pow as power
 from twodof.blocks.elementwise import port_series
 from twodof.blocks.expressions.expr import convert, sqrt, where
 from twodof.blocks.expressions.numbers import KINDS, STORED
@@ -35,7 +36,6 @@ from twodof.blocks.library import (
     Logic,
     MatrixGain,
     Mux,
-    Power,
     Product,
     Reshape,
     Rounding,
@@ -118,7 +118,8 @@ def _gain(c: Asked) -> Made:
 def _sum(c: Asked) -> Made:
     terms = signs(c, "++")
     if len(terms) == 1 and c.width is not None:
-        c.kind("real")
+        if c.inputs[0].number != "real":
+            return of_elements(replace(c, values={**c.values, "Inputs": terms * c.width}), _sum)
         if terms == "-":
             raise NotTranslated("a sum of elements with a minus is not translated")
         return Made(SumOfElements(c.width), [Signal()])
@@ -172,8 +173,10 @@ def _demux(c: Asked) -> Made:
     outputs = c.value("Outputs", "4")
     sizes = [int(n) for n in outputs.flatten()] if outputs.size > 1 else []
     count = len(sizes) or int(outputs.flat[0])
-    if not sizes:
-        sizes = [width // count + (k < width % count) for k in range(count)] if count <= width else []
+    if not sizes or -1 in sizes:  # -1 takes what the others leave
+        left, free = width - sum(n for n in sizes if n > 0), [k for k in range(count) if not sizes or sizes[k] == -1]
+        share = [left // len(free) + (k < left % len(free)) for k in range(len(free))]
+        sizes = [share[free.index(k)] if k in free else sizes[k] for k in range(count)]
     if sum(sizes) != width or min(sizes, default=0) < 1:
         raise NotTranslated(f"Outputs = {c.text('Outputs', '4')} does not fit an input of {width} elements")
     if all(size == 1 for size in sizes) and width > 1:
@@ -265,14 +268,27 @@ def _formula(of: Callable[..., Any], width: int | None, count: int = 1) -> Item:
     return Formula(of, [Signal("real", width)] * count, Signal("real", width))
 
 
+def _signed_root(t: Any, u: Any) -> Any:
+    """Return the root of the size with the number's sign."""
+    return where(u < 0.0, -sqrt(abs(u)), sqrt(abs(u)))
+
+
+def _signed_power(t: Any, u: Any, v: Any) -> Any:
+    """Return a power; that of a negative number with a fraction is the size's with a minus, as MathWorks' C has it."""
+    turned = (u < 0.0) & (v > floor(v))
+    found = power(where(turned, -u, u), v)
+    return where(turned, -found, found)
+
+
 _ANGLES = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh")
 _ELEMENTARY = {name: partial(Elementary, name) for name in ("exp", "log", "square", "reciprocal", "sqrt")}
 _ROUNDED = {"floor": "floor", "ceil": "ceil", "round": "nearest", "fix": "trunc"}
 FUNCTIONS: dict[str, dict[str, Callable[..., Item]]] = {
     "Math": {
         **_ELEMENTARY,
+        "sqrt": partial(_formula, _signed_root),
         "magnitude^2": _ELEMENTARY["square"],
-        "pow": Power,
+        "pow": partial(_formula, _signed_power, count=2),
         "mod": partial(_formula, lambda t, u, v: mod(u, v), count=2),
         "hypot": Hypot,
         "log10": partial(_formula, lambda t, u: log(u) / math.log(10.0)),
@@ -281,7 +297,7 @@ FUNCTIONS: dict[str, dict[str, Callable[..., Item]]] = {
     "Rounding": {name: partial(Rounding, mode) for name, mode in _ROUNDED.items()},
     "Sqrt": {
         "sqrt": _ELEMENTARY["sqrt"],
-        "signedSqrt": partial(_formula, lambda t, u: where(u < 0.0, -sqrt(abs(u)), sqrt(abs(u)))),
+        "signedSqrt": partial(_formula, _signed_root),
         "rSqrt": partial(_formula, lambda t, u: 1.0 / sqrt(u)),
     },
     "Trigonometry": {
@@ -300,11 +316,16 @@ def _logic(c: Asked) -> Made:
     if len(c.inputs) == 1 and c.width is not None and name != "not":  # of the elements of one vector
         return of_elements(c, _logic)
     logic, flags = Logic(name, len(c.inputs), c.width), [one.kind == "bool" for one in c.inputs]
-    if all(flags):
+    said = c.text("OutDataTypeStr", "boolean")
+    kind = "bool" if said.startswith("Inherit") else str(kind_of(said, c.names)).replace("float32", "real")
+    if all(flags) and kind == "bool":
         return Made(logic, [Signal("bool", c.width)])
     # a number is true unless it is 0
-    of = lambda t, *u: logic.of(None, *(one if flag else one != 0 for one, flag in zip(u, flags, strict=True)))  # noqa: E731
-    return formula(c, of, "bool")
+
+    def of(t: Any, *u: Any) -> Any:
+        return convert(logic.of(None, *(one if flag else one != 0 for one, flag in zip(u, flags, strict=True))), kind)
+
+    return formula(c, of, kind)
 
 
 def _dot(c: Asked) -> Made:
@@ -319,7 +340,7 @@ def _dropped(c: Asked) -> Made:
 _KIND_OF = TYPES | {"float64": "real", "bool": "bool"}
 
 
-DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop", *SHOWN)
+DROPPED = ("Terminator", "Scope", "Display", "ToWorkspace", "ToFile", "Stop", "DataTypeDuplicate", *SHOWN)
 
 
 RULES: dict[str, Rule] = {
@@ -363,16 +384,20 @@ TAKES_BUSES = (
 TAKES_SMALL = (
     *(*TAKES_BUSES, *ARITHMETIC_RULES, "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
     *(
-        "Assignment",
-        "DiscreteIntegrator",
-        "Gain",
-        "Logic",
-        "Lookup_n-D",
-        "Product",
-        "Reshape",
-        "Sum",
-        "SwitchCase",
-        "UnaryMinus",
+        *("Assignment", "Detect Change", "Detect Decrease", "Detect Fall Negative", "Detect Fall Nonpositive"),
+        *("Detect Increase", "Detect Rise Nonnegative", "Detect Rise Positive", "DiscreteIntegrator", "Gain"),
+        *(
+            "Interval Test",
+            "Logic",
+            "Lookup_n-D",
+            "LookupNDDirect",
+            "Product",
+            "Relay",
+            "Reshape",
+            "Sum",
+            "SwitchCase",
+            "UnaryMinus",
+        ),
     ),
 )
 """Types that take integers of 8 and 16 bits."""

@@ -35,13 +35,15 @@ from twodof.slx.model import SimulinkChart, collapsed, port_number
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
 
 MOST_LINES = 4000
-DEEPEST = 12
+DEEPEST, MOST_JUNCTIONS = 12, 20
 _COMMENT = re.compile(r"%[^\n]*|//[^\n]*|/\*.*?\*/", re.DOTALL)
+_CONTINUED = re.compile(r"\.\.\.[^\n]*\n")
 _ACTIONS = {"en": "entry", "entry": "entry", "du": "during", "during": "during", "ex": "exit", "exit": "exit"}
 _KEYWORD = re.compile(
     r"(?:(?<=\s)|(?<=;)|^)((?:(?:entry|en|during|du|exit|ex|bind|on\s+[^:\n]+)\s*,?\s*)+):", re.MULTILINE
 )
 _AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
+_CHANGED = re.compile(r"\bhasChanged(|From|To)\s*\(\s*(\w+)\s*(?:,([^(),]+))?\)")
 _SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
 _SETTINGS = {
     "updateMethod": ({"INHERITED", "DISCRETE"}, "it is updated continuously"),
@@ -156,6 +158,8 @@ class _Chart:
         self.lines: list[str] = []
         self.owners: list[str] = []
         self.clocks: dict[str, _State] = {}
+        self.watched: list[str] = []
+        """The names of which a chart asks whether they have changed."""
         self.flags = 0
 
     # --- what is there
@@ -274,15 +278,20 @@ class _Chart:
         containers = [one for one in (self.root, *self.states.values()) if one.children and not one.parallel]
         memory = [*(one.active for one in containers), *self.clocks]
         head = [f"function [{', '.join(outputs)}] = chart({', '.join(inputs)})"]
-        head += [f"persistent {' '.join([*kept, *memory, 'was_entered'])}", "if isempty(was_entered)"]
+        values = [f"{at}_{name}" for name in self.watched for at in ("before", "start")]
+        head += [f"persistent {' '.join([*kept, *memory, *values, 'was_entered'])}", "if isempty(was_entered)"]
         head += [f"{name} = initial_{name};" for name in kept] + [f"{name} = 0;" for name in memory]
+        head += [f"{at} = {at.partition('_')[2]};" for at in values]
         head += ["was_entered = true;"]
         again = [(f"{name} = initial_{name};", "") for name in afresh]
         clocks = [f"{name} = {name} + 1;" for name in self.clocks]
+        clocks += [
+            line for name in self.watched for line in (f"before_{name} = start_{name};", f"start_{name} = {name};")
+        ]
         middle = [("else", ""), *again, *((line, "") for line in clocks), *step]
         if self.at_start:  # the chart is entered before the first tick, which acts as any other
             used = {name for line, _ in first for name in names_in(line)}
-            if self.clocks or used & set(inputs):
+            if self.clocks or self.watched or used & set(inputs):
                 raise NotTranslated("it executes at initialization, with after() or with inputs in its entry")
             middle = [("end", ""), ("if true", ""), *again, *step]
         unread = {f"{one.since} = 0;" for one in self.states.values()} - {f"{name} = 0;" for name in self.clocks}
@@ -376,7 +385,7 @@ class _Chart:
 
     def _act(self, state: _State, action: str) -> None:
         if text := state.actions.get(action, ""):
-            self._say(text, f"{action} of {state.name}")
+            self._say(_CHANGED.sub(self._changed, text), f"{action} of {state.name}")
 
     def _by_child(self, parent: _State, write: Callable[[_State], None]) -> None:
         """Write a branch for each state of a group, of which one is active."""
@@ -393,6 +402,9 @@ class _Chart:
                 self._enter(child)
         elif parent.children or (parent is self.root and parent.ways):
             defaults = [way for way in parent.ways if not way.source]
+            if not defaults and len(parent.children) == 1:
+                self._enter(parent.children[0])
+                return
             if not defaults:
                 raise NotTranslated(f"{parent.name}: it has no default transition")
             self._flow(defaults, self._flag(), None, parent, [], 0)
@@ -461,8 +473,10 @@ class _Chart:
         depth: int,
     ) -> None:
         """Try ways in their order; junctions lead on, and back where none of theirs reaches a state."""
-        if depth > DEEPEST:
-            raise NotTranslated(f"{_shown(path[0])}: junctions lead on more than {DEEPEST} times, or in a circle")
+        if depth > MOST_JUNCTIONS:
+            raise NotTranslated(
+                f"{_shown(path[0])}: junctions lead on more than {MOST_JUNCTIONS} times, or in a circle"
+            )
         for way in ways:
             owner = _shown(way)
             condition = self._timed(way, source)
@@ -525,7 +539,15 @@ class _Chart:
             # As in MathWorks' code: the first tick that is not before the time.
             return f"({source.since} >= ceil(({found[1]}) * {_SECONDS[found[2]]!r} / {self.dt!r} * (1 - 1e-12)))"
 
-        return _AFTER.sub(count, way.condition) or "true"
+        return _CHANGED.sub(self._changed, _AFTER.sub(count, way.condition)) or "true"
+
+    def _changed(self, found: re.Match[str]) -> str:
+        """Return whether a name had another value at the start of the tick before than at the start of this one."""
+        how, name, value = found.groups()
+        if name not in self.watched:
+            self.watched.append(name)
+        at = {"From": f" && before_{name} == {value}", "To": f" && start_{name} == {value}"}.get(how, "")
+        return f"(before_{name} ~= start_{name}{at})"
 
 
 def _parts(form: Form) -> Iterator[Form]:
@@ -537,7 +559,7 @@ _C = re.compile(
     r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
     r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|&&|\|\||[-+*/!<>=();,\[\].])"
 )
-_SAME_IN_C = {"after", "abs", "true", "false"}
+_SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false"}
 """Functions that mean the same in C and in MATLAB's language."""
 
 
@@ -617,7 +639,7 @@ def _actions(text: str, state: str) -> dict[str, str]:
 
 def _label(way: _Way, label: str) -> None:
     """Read `event [condition] {action when it holds} / action when it is taken`."""
-    text = _COMMENT.sub("", label).strip().removesuffix("?")
+    text = _CONTINUED.sub(" ", _COMMENT.sub("", label)).strip().removesuffix("?")
     event = re.match(r"[^\[{/]*", text)
     assert event is not None
     text = text[event.end() :]

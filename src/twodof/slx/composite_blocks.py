@@ -9,6 +9,8 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Param, Port, State
@@ -16,7 +18,7 @@ from twodof.blocks.elementary.functions import floor, sin, trunc
 from twodof.blocks.elementwise import elementwise, search
 from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, int32, to_int32, to_real, to_uint32, where
-from twodof.blocks.expressions.numbers import STORED
+from twodof.blocks.expressions.numbers import INTEGERS
 from twodof.blocks.library import (
     Gain,
     MultiportSwitch,
@@ -100,10 +102,10 @@ def _detect(of: Callable[[Any, Any], Any]) -> Rule:
     """Compare the input with that of the sample before."""
 
     def rule(c: Asked) -> Made:
-        number = {"real": float, "bool": bool}.get(kind := c.kind("real", "bool", "int32", *STORED), int)
-        held = "int32" if number is int else kind
-        now: Next = lambda t, u, x: convert(u, held)  # noqa: E731
-        return formula(c, lambda t, u, x: of(now(t, u, x), x), "bool", x=(number(c.scalar("vinit", "0")), now))
+        kind, start = c.kind("real", "bool", *INTEGERS), c.scalar("vinit", "0")
+        held, word = ("real",) * 2 if kind == "real" else ("int32", "uint32" if kind == "uint32" else "int32")
+        x = (start if kind == "real" else int(start), lambda t, u, x: convert(u, held))
+        return formula(c, lambda t, u, x: of(convert(u, word), convert(x, word)), "bool", x=x)
 
     return rule
 
@@ -112,8 +114,9 @@ def _becomes(true: Callable[[Any], Any]) -> Rule:
     """Say where a condition of the input is true, and was not before."""
 
     def rule(c: Asked) -> Made:
-        start = bool(c.scalar("vinit", "0"))
-        return formula(c, lambda t, u, x: true(u) & ~x, "bool", x=(start, lambda t, u, x: true(u)))
+        exact = "real" if c.inputs[0].number == "real" else "float64"
+        holds: Next = lambda t, u, x: true(convert(u, exact))  # noqa: E731
+        return formula(c, lambda t, u, x: holds(t, u, x) & ~x, "bool", x=(bool(c.scalar("vinit", "0")), holds))
 
     return rule
 
@@ -121,7 +124,13 @@ def _becomes(true: Callable[[Any], Any]) -> Rule:
 def _interval(c: Asked) -> Made:
     low, high = c.scalar("lowlimit", "-0.5"), c.scalar("uplimit", "0.5")
     left, right = (c.text(f"IntervalClosed{side}", "on") == "on" for side in ("Left", "Right"))
-    return formula(c, lambda t, u: (low <= u if left else low < u) & (u <= high if right else u < high), "bool")
+    exact = "real" if c.inputs[0].number == "real" else "float64"
+
+    def inside(t: Any, u: Any) -> Any:
+        u = convert(u, exact)
+        return (low <= u if left else low < u) & (u <= high if right else u < high)
+
+    return formula(c, inside, "bool")
 
 
 def _rate_limiter(c: Asked) -> Made:
@@ -434,6 +443,19 @@ def _lookup(c: Asked) -> Made:
     return _table(c, points, table.flatten(order="F").tolist(), method, clip, steps, last)
 
 
+def _direct_lookup(c: Asked) -> Made:
+    """Return the element of a table whose places, from 0, are the inputs; the nearest one outside."""
+    count, table = int(c.scalar("NumberOfTableDimensions", "2")), c.value("Table", "[4 5 6;16 19 20;10 18 23]")
+    c.needs("InputsSelectThisObjectFromTable", "Element", "Element")
+    c.needs("TableIsInput", "off", "off")
+    sizes = [table.size] if count == 1 else list(table.shape)
+    if len(sizes) != count or len(c.inputs) != count:
+        raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
+    c.values["OutDataTypeStr"] = "single" if table.dtype == np.float32 else "double"
+    points = [[float(k) for k in range(size)] for size in sizes]
+    return _table(c, points, table.flatten(order="F").tolist(), "flat", True)
+
+
 def _older_lookup(c: Asked) -> Made:
     known = {"Interpolation-Extrapolation": ("linear", False), "Interpolation-Use End Values": ("linear", True),
              "Use Input Nearest": ("nearest", True), "Use Input Below": ("flat", True)}  # fmt: skip
@@ -443,6 +465,9 @@ def _older_lookup(c: Asked) -> Made:
     table = c.value("OutputValues" if "OutputValues" in c.values else "Table", "tanh([-4:5])" if flat else "[0 0;0 0]")
     points = [c.value(name, "[-4:5]" if flat else "[0 1]").flatten().tolist() for name in names]
     return _table(c, points, table.flatten(order="F").tolist(), method, clip)
+
+
+_REALS = ("double", "single")
 
 
 def _table(c: Asked, points: list[list[float]], table: list[float], method: str, clip: bool, *even: Any) -> Made:
@@ -455,7 +480,7 @@ def _table(c: Asked, points: list[list[float]], table: list[float], method: str,
     d, block = Diagram("table"), LookupTable(points, [float(v) for v in table], method, clip, *even)
     if all(one.kind == "real" for one in c.inputs):
         return Made(block, [Signal()])
-    if c.inputs[0].kind != "real" and c.text("OutDataTypeStr", "Inherit: Same as first input") != "double":
+    if c.inputs[0].kind != "real" and c.text("OutDataTypeStr", "Inherit: Same as first input") not in _REALS:
         raise NotTranslated(f"a table of {c.inputs[0]} whose output is not double is not translated")
     sources = [expanded(d, d.input(f"u{k}", one.kind), one, None, "real") for k, one in enumerate(c.inputs, start=1)]
     d.output("y", d.add("y", block, inputs=dict(zip(names_of(block), sources, strict=True))))
@@ -503,10 +528,11 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "DiscretePulseGenerator": each(_pulse, "Amplitude", "Period", "PulseWidth", "PhaseDelay"),
     "Fcn": _expression,
     "InitialCondition": _first,
-    "Interval Test": _interval,
+    "Interval Test": each(_interval, "lowlimit", "uplimit", wide=True),
     "Lookup": _older_lookup,
     "Lookup2D": _older_lookup,
     "Lookup_n-D": _lookup,
+    "LookupNDDirect": _direct_lookup,
     "MATLABFcn": _expression,
     "MultiPortSwitch": _multiport,
     "Polyval": lambda c: Made(Polynomial(c.value("coefs", "[1 2 3]").flatten().tolist()), [Signal()]),

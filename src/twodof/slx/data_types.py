@@ -148,7 +148,7 @@ def _creator(c: Asked) -> Made:
             raise NotTranslated(f"{said} does not have {len(c.inputs)} elements")
         bus = kind
         for k, (port, one) in enumerate(zip(bus.fields, c.inputs, strict=True)):
-            if not signal_of(port).like(one):
+            if k + 1 not in c.loose and not signal_of(port).like(one):
                 raise NotTranslated(f"the element {port.name} is {signal_of(port)} and the input {k + 1} {one}")
     return Made(BusCreate(bus), [Signal(bus)], expand=False)
 
@@ -189,8 +189,8 @@ def _selector(c: Asked) -> Made:
 def _assignment(c: Asked) -> Made:
     bus = _only_bus(c)
     fields = _fields(c, "AssignedSignals", bus)
-    for (path, wanted), one in zip(fields.items(), c.inputs[1:], strict=False):
-        if not wanted.like(one):
+    for k, ((path, wanted), one) in enumerate(zip(fields.items(), c.inputs[1:], strict=False), start=2):
+        if k not in c.loose and not wanted.like(one):
             raise NotTranslated(f"the element {path} is {wanted} and its input {one}")
     return Made(BusAssign(bus, list(fields)), [Signal(bus)], expand=False)
 

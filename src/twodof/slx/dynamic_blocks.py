@@ -17,9 +17,9 @@ from twodof.blocks import Diagram
 from twodof.blocks.action_group import resettable_integrator
 from twodof.blocks.bus import Bus
 from twodof.blocks.elementary.functions import floor
-from twodof.blocks.elementwise import port_series
-from twodof.blocks.expressions.expr import where
-from twodof.blocks.expressions.numbers import WORDS
+from twodof.blocks.elementwise import clamp, port_series
+from twodof.blocks.expressions.expr import convert, int32, where
+from twodof.blocks.expressions.numbers import INTEGER_TYPES, INTEGERS, WORDS
 from twodof.blocks.library import (
     Constant,
     Convert,
@@ -41,9 +41,10 @@ from twodof.blocks.library import (
     VariableDelay,
     ZeroOrderHold,
 )
+from twodof.slx.arithmetic import exact, fitted
 from twodof.slx.composite_blocks import Formula, formula
 from twodof.slx.conditions import ControlEdge
-from twodof.slx.data_types import value_of
+from twodof.slx.data_types import kind_of, value_of
 from twodof.slx.translation import (
     Asked,
     Item,
@@ -87,25 +88,59 @@ def _unit_delay(c: Asked) -> Made:
 
 
 def _delay(c: Asked) -> Made:
+    """Return a delay; its inputs are the signal, and as far as it has them the length, the reset, the initial value."""
     ported = c.needs("DelayLengthSource", "Dialog", "Dialog", "Input port") == "Input port"
-    c.needs("InitialConditionSource", "Dialog", "Dialog")
-    edge = _edge(c)
+    given = c.needs("InitialConditionSource", "Dialog", "Dialog", "Input port") == "Input port"
+    edge, one = _edge(c), c.inputs[0]
     if c.text("ShowEnablePort", "off") != "off":
         raise NotTranslated("ShowEnablePort is not translated")
-    initial, signal = _initial(c, "InitialCondition")
-    if ported:
-        most, length, d = int(c.scalar("DelayLengthUpperLimit", "100")), c.inputs[1], Diagram("delay")
-        d.input("u", signal.kind, signal.width)
-        d.add("length", Convert(length.number, "int32"), u=d.input("samples", length.kind))
-        delay = VariableDelay(most, initial, True, signal.kind, signal.width)
-        d.output("y", d.add("y", delay, u="u", samples="length"))
-        return Made(d, [signal], expand=False)
-    samples = int(c.scalar("DelayLength", "2"))
-    if samples == 0:
+    if given and one.width is None:
+        one = replace(one, width=c.inputs[-1].width)
+    values = {name: text for name, text in c.values.items() if not given or name != "InitialCondition"}
+    initial, signal = _initial(replace(c, inputs=[one], values=values), "InitialCondition")
+    samples = int(c.scalar("DelayLengthUpperLimit", "100") if ported else c.scalar("DelayLength", "2"))
+    if not ported and samples == 0:
         return Made(ZeroOrderHold(signal.kind, signal.width), [signal])
-    if edge:
-        return _resettable(c, Delay(samples, None, initial, signal.kind, signal.width), edge)
-    return Made(Delay(samples, None, initial, signal.kind, signal.width), [signal])
+    fixed = Delay(samples, None, initial, signal.kind, signal.width)
+    if not (ported or given):
+        return _resettable(c, fixed, edge) if edge else Made(fixed, [signal])
+    names = ["u", *["samples"] * ported, *["reset"] * bool(edge), *["x0"] * given]
+    d, inner = Diagram("delay"), Diagram("inside")
+    reset: str | None = None
+    for name, port in zip(names, c.inputs, strict=True):
+        if name == "reset":
+            reset = f"{_clears(d, port, edge)}.y"
+            continue
+        for at in (d, inner):
+            at.input(name, port.kind, port.width)
+    item = VariableDelay(samples, initial, True, signal.kind, signal.width) if ported else fixed
+    inputs = {"u": expanded(inner, "u", c.inputs[0], signal.width)}
+    length = inner.add("length", Convert(c.inputs[1].number, "int32"), u="samples") if ported else inner.add(
+        "length", Constant(samples, "int32")
+    )  # fmt: skip
+    y = inner.add("past", item, inputs=inputs | ({"samples": length} if ported else {}))
+    if given:
+        start, kind = {"real": 0.0, "bool": False}.get(signal.number, 0), signal.number
+        held: Any = lambda t, past, x0, n, k, x: where(k == 0, x0, as_kind(x, kind))  # noqa: E731
+        kept = "int32" if kind in INTEGERS else kind
+        as_kind: Any = convert if kept != kind else lambda value, _: value
+        count = (0, lambda t, past, x0, n, k, x: where(k < samples, k + 1, k))
+
+        def delayed(t: Any, past: Any, x0: Any, n: Any, k: Any, x: Any) -> Any:
+            return where(clamp(int32(not ported), int32(samples), n) > k, held(t, past, x0, n, k, x), past)
+
+        first = Formula(
+            delayed,
+            [signal, signal, Signal("int32")],
+            signal,
+            {"k": count, "x": (start, lambda *v: as_kind(held(*v), kept))},
+        )
+        x0 = expanded(inner, "x0", c.inputs[-1], signal.width, signal.kind)
+        n = expanded(inner, length, Signal("int32"), signal.width)
+        y = f"{inner.add('y', first, u1=y, u2=x0, u3=n)}.y"
+    inner.output("y", y)
+    d.output("y", d.add("inside", inner, inputs={name: name for name in names if name != "reset"}, reset=reset))
+    return Made(d, [signal], expand=False)
 
 
 def _discrete_integrator(c: Asked) -> Made:
@@ -115,7 +150,7 @@ def _discrete_integrator(c: Asked) -> Made:
     if method[2] != "Forward Euler" and c.text("InitialConditionSetting", "Auto") == "Output":
         raise NotTranslated("InitialConditionSetting = 'Output' is not translated")
     gain, scale = c.scalar("gainval", "1.0"), 1.0
-    if c.inputs[0].kind in WORDS:
+    if c.inputs[0].kind in (*INTEGERS, "bool"):
         return _whole_accumulator(c, gain)
     if method[0] == "Accumulation":  # the input is scaled, and the gain undoes the period
         near = 1.0 / c.dt
@@ -131,19 +166,33 @@ def _discrete_integrator(c: Asked) -> Made:
 
 
 def _whole_accumulator(c: Asked, gain: float) -> Made:
-    """Return the sum of whole numbers so far, which wraps around."""
+    """Return the sum of whole numbers so far, which wraps around, or is held within the limits."""
     c.needs("IntegratorMethod", "Integration: Forward Euler", "Accumulation: Forward Euler")
-    for name, only in (("ExternalReset", "none"), ("InitialConditionSource", "internal"), ("LimitOutput", "off")):
+    for name, only in (("InitialConditionSource", "internal"), ("ShowSaturationPort", "off"), ("WrapState", "off")):
         c.needs(name, only, only)
-    if gain != 1.0:
-        raise NotTranslated(f"gainval = {gain:g} of whole numbers is not translated")
-    initial, signal = _initial(c, "InitialCondition")
-    d = Diagram("accumulator")
-    d.input("u", signal.kind, signal.width)
-    d.add("sum", Sum("++", signal.number, signal.width), a="x", b="u")
-    d.add("x", UnitDelay(initial, signal.kind, signal.width), u="sum")
-    d.output("y", "x")
-    return Made(d, [signal])
+    edge, said, one = _edge(c), c.text("OutDataTypeStr", "Inherit: Inherit via internal rule"), c.inputs[0]
+    kind = one.number if said.startswith("Inherit") else str(kind_of(said, c.names))
+    control = c.inputs.pop(1) if edge else Signal("bool")
+    limits = [c.scalar(f"{end}SaturationLimit", "0") for end in ("Lower", "Upper")]
+    limited, start = c.text("LimitOutput", "off") == "on", int(c.scalar("InitialCondition", "0"))
+    if gain != 1.0 or kind not in WORDS or not all(map(float.is_integer, limits if limited else [])):
+        raise NotTranslated(f"gainval = {gain:g}, or limits {limits}, of whole numbers {kind} are not translated")
+
+    def within(value: Any) -> Any:
+        low, high = (INTEGER_TYPES[kind](int(v)) for v in limits)
+        return clamp(low, high, value) if limited else value
+
+    def now(t: Any, u: Any, clear: Any, x: Any) -> Any:
+        return within(where(clear, INTEGER_TYPES[kind](start), convert(x, kind)))
+
+    after: Any = lambda *v: convert(within(now(*v) + convert(v[1], kind)), "int32")  # noqa: E731
+    d, signal = Diagram("accumulator"), Signal(kind, one.width)
+    item = Formula(now, [one, Signal("bool")], signal, {"x": (int(np.int32(np.uint32(start % 2**32))), after)})
+    d.input("u", one.kind, one.width)
+    clear = f"{_clears(d, control, edge)}.y" if edge else d.add("never", Constant(False, "bool"))
+    clear = expanded(d, clear, Signal("bool"), one.width)
+    d.output("y", d.add("y", item, u1="u", u2=clear))
+    return Made(d, [signal], expand=False)
 
 
 def _integral(c: Asked, integrator: Callable[[Any, Any, bool, int | None], Item], scale: float = 1.0) -> Made:
@@ -454,6 +503,25 @@ def _state_space(c: Asked) -> Made:
     return Made(item, [Signal("real", None if shape[0] == 1 else shape[0])])
 
 
+_RELAY = (("OnSwitchValue", "eps"), ("OffSwitchValue", "eps"), ("OnOutputValue", "1"), ("OffOutputValue", "0"))
+
+
+def _relay(c: Asked) -> Made:
+    on_at, off_at, high, low = (c.scalar(*one) for one in _RELAY)
+    one, said = c.inputs[0], c.text("OutDataTypeStr", "Inherit: All ports same datatype")
+    kind = str(one.number if said.startswith("Inherit") else kind_of(said, c.names)).replace("float32", "real")
+    if one.number == kind == "real":
+        return Made(Relay(on_at, off_at, high, low), [Signal()])
+    if one.number != "real":  # the numbers have the input's type
+        on_at, off_at = (math.floor(at + 0.5) for at in (on_at, off_at))
+
+    def on(t: Any, u: Any, x: Any) -> Any:
+        u = exact(c)(u)
+        return (u >= on_at) | (x & ~(u <= off_at))
+
+    return formula(c, lambda *v: fitted(where(on(*v), high, low), kind, True, "Nearest"), kind, x=(False, on))
+
+
 def _clock(c: Asked) -> Made:
     d = Diagram("clock")
     d.add("time", Time())
@@ -474,9 +542,7 @@ DYNAMIC_RULES: dict[str, Rule] = {
     "Integrator": _integrator,
     "Memory": _unit_delay,
     **dict.fromkeys(("PID Controller", "PID Controller (2DOF)"), each(_pid, "P", "I", "D", "N")),
-    "Relay": row(
-        Relay, ("OnSwitchValue", "eps"), ("OffSwitchValue", "eps"), ("OnOutputValue", "1"), ("OffOutputValue", "0")
-    ),
+    "Relay": each(_relay, *(name for name, _ in _RELAY)),
     "SecondOrderIntegrator": _second_order,
     **dict.fromkeys(("DiscreteStateSpace", "StateSpace"), _state_space),
     "Step": row(Step, ("Time", "1"), ("Before", "0"), ("After", "1")),

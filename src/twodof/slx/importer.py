@@ -27,7 +27,7 @@ from twodof.slx.bus_ports import with_bus_ports, with_ports
 from twodof.slx.chart import function_rule
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
 from twodof.slx.connections import PASSING, STORES, Output, ReportLine, store_name
-from twodof.slx.data_types import SINGLE, kind_of, sized, value_of
+from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
@@ -38,6 +38,7 @@ from twodof.slx.model import (
     CODED,
     COMPUTED,
     Model,
+    Pin,
     SimulinkBlock,
     System,
     below,
@@ -48,13 +49,24 @@ from twodof.slx.model import (
 )
 from twodof.slx.precision import ROUTES, precise
 from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
-from twodof.slx.sheet import BACKWARDS, KEEPS_TYPE, Sheet, bus_wanted, siblings, type_declared, type_text, width_wanted
+from twodof.slx.sheet import (
+    BACKWARDS,
+    KEEPS_TYPE,
+    Sheet,
+    bus_wanted,
+    ends,
+    siblings,
+    type_declared,
+    type_text,
+    width_wanted,
+)
 from twodof.slx.toolbox_blocks import TOOLBOXES
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
 from twodof.slx.wiring import Wiring, safe
 
-MOST_GUESSES = 5
+MOST_GUESSES = 12
 """How often the types of loops are guessed anew."""
+_BUS_ENDS = {"BusAssignment", "BusCreator", "BusSelector", "Inport", "Outport"}
 _SINGLE = "single: computed in the precision of the build"
 
 
@@ -108,6 +120,8 @@ class _Import(Wiring):
         self.names_of: dict[str, dict[str, Value]] = {}
         self.referenced: dict[str, dict[str, Value]] = {}
         self.times: dict[tuple[str, str], tuple[float, float]] = {}
+        self.taken: dict[tuple[str, str], str] = {}
+        """Data types that blocks take from behind, where a pass saw them too late."""
         self.code = {collapsed(one.path): one for one in model.charts}
 
     def _names_of(self, model: Model) -> dict[str, Value]:
@@ -451,6 +465,7 @@ class _Import(Wiring):
         ready = deque(key for key, origins in waiting.items() if not origins - self.signals.keys())
         broken: dict[tuple[str, str], Signal] = {}
         wrong: dict[tuple[str, str], Signal] = {}
+        assumed, early = False, list[tuple[str, str]]()
 
         def follow(key: tuple[str, str], count: int) -> None:
             found = [(*key, k + 1) for k in range(count)]
@@ -465,8 +480,12 @@ class _Import(Wiring):
                 self._translate(key)
                 made = self.made[key].outputs
                 left = [one for one in outputs.get(key, []) if one not in self.signals]
-                self._leave(left, waiting, behind, outputs)
-                if key in broken and made and not made[0].like(broken[key]):
+                if left and broken.keys() - guessed.keys():  # it may be refused for a wrong guess: go on to see that
+                    known = (self._type(key[0], pin) for pin in self._inputs(key))
+                    self.signals |= dict.fromkeys(left, next((one for one in known if one is not None), Signal()))
+                    assumed, made = True, [Signal()] * len(left)
+                self._leave([one for one in left if one not in self.signals], waiting, behind, outputs)
+                if key in broken and self.made[key].outputs and not made[0].like(broken[key]):
                     wrong[key] = made[0]
                 follow(key, len(made))
             # A loop is broken at the first block whose output may be known before its input.
@@ -478,9 +497,16 @@ class _Import(Wiring):
                 self.signals[*loop, 1] = broken[loop]
                 follow(loop, 1)
                 continue
-            loop = next((key for key in waiting if self.blocks[key].kind not in RULES), None)
+            # A block that takes its type from behind may wait for what itself drives.
+            loop = next((key for key in waiting if self._backwards(key) and self._known(key)), None)
+            early += [loop] if loop is not None else []
+            loop = loop or next((key for key in waiting if self.blocks[key].kind not in RULES), None)
             ready += [loop] if loop is not None else list(waiting)[:1]
-        return wrong
+        if assumed and SINGLE in self.names:  # a double may be there for a block that was refused only
+            wrong = {key: one for key, signal in wrong.items() if not (one := _single(signal)).like(broken[key])}
+        later = {key: said for key in early if (said := self._wanted(key)) and said != self.taken.get(key)}
+        self.taken |= later
+        return wrong or (broken if assumed else {}) or dict.fromkeys(later, Signal())
 
     def _leave(
         self,
@@ -503,7 +529,14 @@ class _Import(Wiring):
         behind: Mapping[Output, list[tuple[str, str]]],
     ) -> Signal:
         """Return the type that a state in a loop has by its initial value, or else by what it meets behind it."""
-        values = self._values(key)
+        ends_at = {block.type for _, _, block in ends(self.sheets, key[0], Pin(key[1], "out", 1))}
+        bus = bus_wanted(self.sheets, *key, self.code, self.folders) if ends_at <= _BUS_ENDS else None
+        real = "float32" if SINGLE in self.names else "real"  # where it is double, the next pass sees it
+        if bus is not None:
+            return _single(Signal(bus)) if SINGLE in self.names else Signal(bus)
+        values, said = self._values(key), ""
+        if self.blocks[key].type == "DiscreteIntegrator":
+            said = collapsed(values.get("OutDataTypeStr", "Inherit"))
         name = next((one for one in ("C", "InitialCondition", "X0") if one in values), "")
         size, shape = 1, None
         with suppress(DiagramError, NotComputed):
@@ -513,6 +546,8 @@ class _Import(Wiring):
         if size == 1 and name != "C":
             size = width_wanted(self.sheets, *key, self.code, self.folders, hops=0)  # a scalar may meet vectors there
         queue, seen = [key], {key}
+        if said and not said.startswith("Inherit"):
+            return Signal(kind_of(said, self.sheets[key[0]].names), size if size > 1 else None, shape)
         for at in queue:
             for one in behind.get((*at, 1), ()):
                 if one in seen or one not in waiting or self.blocks[one].kind not in KEEPS_TYPE:
@@ -524,13 +559,18 @@ class _Import(Wiring):
                 met = [self.signals[source] for source in sources if source not in (None, (*at, 1))]
                 if met:
                     return Signal(met[0].kind, size if size > 1 else None, shape)
-        return Signal("real", size if size > 1 else None, shape)
+        return Signal(real, size if size > 1 else None, shape)
 
     def _await(self, key: tuple[str, str], waiting: dict[tuple[str, str], set[Output]]) -> None:
         found = {self._origin(key[0], pin) for pin in self._inputs(key)}
         if self._backwards(key):
-            found |= {self._origin(*one) for one in siblings(self.sheets, *key)}
+            beside = {self._origin(*one) for one in siblings(self.sheets, *key)}
+            found |= {one for one in beside if one is not None and not self._backwards(one[:2])}
         waiting[key] = {one for one in found if one is not None and one[:2] != key}
+
+    def _known(self, key: tuple[str, str]) -> bool:
+        """Return True if the types of a block's inputs are known."""
+        return all(self._type(key[0], pin) is not None for pin in self._inputs(key))
 
     def _backwards(self, key: tuple[str, str]) -> bool:
         """Return True for a block whose type is that of what is behind it."""
@@ -541,11 +581,13 @@ class _Import(Wiring):
 
     def _wanted(self, key: tuple[str, str]) -> str:
         """Return the data type of what is behind a block: declared, or that of what it meets there; "" without one."""
-        declared = type_declared(self.sheets, *key)
+        declared = type_declared(self.sheets, *key, lambda at, pin: self._type(at, pin))
         if declared:
             return declared
-        met = (self.signals.get(source) for one in siblings(self.sheets, *key) if (source := self._origin(*one)))
-        return next((type_text(signal) for signal in met if signal is not None), "")
+        beside = (self._origin(*one) for one in siblings(self.sheets, *key))
+        met = [one for one in beside if one is not None and one in self.signals]
+        met.sort(key=lambda one: self._backwards(one[:2]))
+        return type_text(self.signals[met[0]]) if met else ""
 
     def _translate(self, key: tuple[str, str]) -> None:
         """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
@@ -560,22 +602,23 @@ class _Import(Wiring):
             inputs = [self._type(path, pin) or Signal() for pin in self._inputs(key)]
             values = self._values(key)
             labels = [self._label(path, pin) for pin in self._inputs(key)]
-            if self._backwards(key) and (wanted := self._wanted(key)):
+            if self._backwards(key) and (wanted := self._wanted(key) or self.taken.get(key)):
                 values["OutDataTypeStr"] = wanted
             dt = self.dt * self.rates.get(key, BASE).divider
             real = [replace(one, kind="real") if one.kind == "float32" else one for one in inputs]
             taken = inputs if block.type in ROUTES else real
-            asked = Asked(block, path, values, self.sheets[path].names, [*taken], dt, labels, folders=self.folders)
+            loose = [pin.number for pin in self._inputs(key) if self._origin(path, pin) is None]
+            names = self.sheets[path].names
+            asked = Asked(block, path, values, names, [*taken], dt, labels, loose=loose, folders=self.folders)
             made = carried_out(asked, rule)
             made = precise(asked, made, inputs) if SINGLE in self.names else made
             if block.type == "RateTransition":
                 made = self._transition(key, asked) or made
             self.made[key] = made
             self.signals.update({(*key, k + 1): signal for k, signal in enumerate(made.outputs)})
-            loose = [str(pin.number) for pin in self._inputs(key) if made.item and self._origin(path, pin) is None]
             single = asked.text("OutDataTypeStr") == "single" and SINGLE not in self.names
             notes = [*asked.notes, *([_SINGLE] * single)]
-            notes += [f"nothing drives input {', '.join(loose)}: it is 0"] if loose else []
+            notes += [f"nothing drives input {', '.join(map(str, loose))}: it is 0"] if loose and made.item else []
             self.approximated.setdefault(key, []).extend(notes)
 
         self._try(key, translate)
@@ -601,7 +644,9 @@ class _Import(Wiring):
             said, names = values.get("OutDataTypeStr", "Inherit: auto"), self.sheets[memory[0]].names
             start = as_array(number(evaluate(values.get("InitialValue", "0"), names, "InitialValue")))
             kind = "real" if said.startswith("Inherit") else kind_of(said, names)
-            signal = sized(kind, list(start.shape))
+            said = values.get("Dimensions", "-1")
+            size = as_array(number(evaluate(said, names, "Dimensions"))).astype(int).flatten().tolist()
+            signal = sized(kind, list(start.shape) if size == [-1] else size)
             if signal.shape is not None or isinstance(kind, Bus) or c.text("DataStoreElements"):
                 raise NotTranslated(f"a store of {signal}, or of elements of one, is not translated")
             if block.type == "DataStoreMemory":
@@ -644,3 +689,11 @@ class _Import(Wiring):
         d.add("y", ZeroOrderHold(one.kind, one.width), rate=self.rates.get(key, BASE), u="late")
         d.output("y", "y")
         return Made(d, [one], expand=False)
+
+
+def _single(signal: Signal) -> Signal:
+    """Return the signal whose doubles are single."""
+    if isinstance(signal.kind, Bus):
+        fields = [_single(signal_of(one)).port(one.name) for one in signal.kind.fields]
+        return replace(signal, kind=Bus(signal.kind.name, fields))
+    return replace(signal, kind="float32") if signal.kind == "real" else signal

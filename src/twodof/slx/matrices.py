@@ -6,6 +6,7 @@ left to right, as MathWorks' C does it.
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,8 +29,9 @@ def matrix(c: Asked, line: Line) -> Made:
     """Return the block of a line of MATLAB."""
     if any(isinstance(one.kind, Bus) for one in c.inputs):
         raise NotTranslated("a matrix of buses is not translated")
-    if any(one.kind == "float32" for one in c.inputs):
+    if {"real", "float32"} <= {one.kind for one in c.inputs}:
         raise NotTranslated("a matrix of single beside double is not translated")
+    c.inputs = [replace(one, kind="real") if one.kind == "float32" else one for one in c.inputs]
     text, values = line(c)
     names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
     code = f"function y = f({', '.join([*names, *values])})\n{text}"

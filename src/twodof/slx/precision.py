@@ -15,6 +15,7 @@ from twodof.blocks.elementwise import elementwise
 from twodof.blocks.expressions.expr import convert
 from twodof.slx.composite_blocks import Formula
 from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matrices import MATRIX_LINES
 from twodof.slx.translation import Asked, Item, Made, NotTranslated, Signal, expanded, names_of
 
 ROUTES = ("BusAssignment", "BusCreator", "BusSelector", "Concatenate", "Constant", "DataStoreMemory", "DataStoreRead",
@@ -65,24 +66,35 @@ class _Narrow:
 def _narrow(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: _narrow(one) for name, one in value.items()}
-    return elementwise(lambda v: convert(v, "float32") if getattr(v, "kind", "real") == "real" else v, value)
+
+    def one(v: Any) -> Any:
+        kind = getattr(v, "kind", "real" if isinstance(v, float) else "")
+        return convert(v, "float32") if kind == "real" else v
+
+    return elementwise(one, value)
 
 
 def precise(c: Asked, made: Made, inputs: Sequence[Signal]) -> Made:
     """Return the block with `inputs` of single and double where `made` has those of `c`, which are all real."""
-    if c.block.type in ROUTES or made.item is None:
+    lines = isinstance(made.item, MatlabFunction) and c.block.kind in MATRIX_LINES
+    if (c.block.type in ROUTES and not lines) or made.item is None:
         return made
     parts = {"Switch": [*inputs[:1], *inputs[2:]], "MultiPortSwitch": inputs[1:]}
-    floats = [one for one in parts.get(c.block.type, inputs) if one.kind in ("real", "float32")]
+    parts |= dict.fromkeys(("Delay", "DiscreteIntegrator"), inputs[:1])
+    data = parts.get(c.block.type, inputs)
+    floats = [one for one in data if one.kind in ("real", "float32")]
     said = c.text("OutDataTypeStr", "Inherit")
     alike = bool(floats) and all(one.kind == "float32" for one in floats)
     same = said.startswith("Inherit: Same as first") and bool(floats) and floats[0].kind == "float32"
     single = said == "single" or (said.startswith("Inherit") and (alike or same))
     outputs = [replace(one, kind="float32") if single and one.kind == "real" else one for one in made.outputs]
-    if alike and all(one.kind != "real" for one in (*inputs, *outputs)):
-        narrowed = _narrowed(made.item)
+    if alike and all(one.kind != "real" for one in (*data, *outputs)):
+        narrowed = InSingle(made.item) if lines and isinstance(made.item, Block) else _narrowed(made.item)
         if narrowed is not None:
-            return Made(narrowed, outputs, made.expand)
+            made = Made(narrowed, outputs, made.expand)
+            if all(one.kind != "real" for one in inputs):
+                return made
+            return Made(_converted(made, inputs, outputs, "float32"), outputs, expand=False)
     if made.outputs == outputs and all(one.kind != "float32" for one in inputs):
         return made
     return Made(_converted(made, inputs, outputs), outputs, expand=False)
@@ -98,9 +110,9 @@ def _narrowed(item: Item) -> Item | None:
         d.declare(replace(port, kind="float32") if port.kind == "real" else port)
     for name, part in item.parts.items():
         inner = _narrowed(part.item)
-        if inner is None or part.reset or part.enable:
+        if inner is None or part.enable:
             return None
-        d.add(name, inner)
+        d.add(name, inner, reset=part.reset)
     for (name, pin), source in item.connections.items():
         d.connect(source, f"{name}.{pin}")
     for given, output in item.outputs.items():
@@ -108,20 +120,23 @@ def _narrowed(item: Item) -> Item | None:
     return d
 
 
-def _converted(made: Made, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> Diagram:
-    """Return a diagram that converts each single input, computes, and rounds the results that are single."""
+def _converted(made: Made, inputs: Sequence[Signal], outputs: Sequence[Signal], kind: str = "real") -> Diagram:
+    """Return a diagram that computes in `kind` with converted inputs, and rounds the results that are single."""
     d, item = Diagram("precise"), made.item
     assert item is not None
     ports = list(item.inputs) if isinstance(item, Block) else list(item.inputs.values())
     width = next((port.width for port in ports if port.width is not None), None)
     sources = {}
+    if len(ports) != len(inputs):
+        raise NotTranslated(f"{len(inputs)} inputs of single and double among {len(ports)} are not translated")
     for port, (k, one) in zip(ports, enumerate(inputs, start=1), strict=True):
         source = d.input(f"u{k}", one.kind, one.width)
         if one.shape is not None:
             raise NotTranslated("a matrix of singles among doubles is not translated")
-        if one.kind == "float32":
-            source = f"{d.add(f'wide{k}', _conversion(one, 'real'), u1=source)}.y"
-        sources[port.name] = expanded(d, source, replace(one, kind="real"), width) if made.expand else source
+        if one.kind in ("real", "float32") and one.kind != kind:
+            source = f"{d.add(f'as{k}', _conversion(one, kind), u1=source)}.y"
+            one = replace(one, kind=kind)
+        sources[port.name] = expanded(d, source, one, width) if made.expand else source
     d.add("of", item, inputs=sources)
     for k, (name, before, after) in enumerate(
         zip(names_of(item, outputs=True), made.outputs, outputs, strict=True), start=1

@@ -3,7 +3,7 @@
 Types that a block inherits from behind, and the widths of ports that say none, are those that the blocks behind want.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ KEEPS_WIDTH = (
     *("Quantizer", "RateLimiter", "Signum", "SignalConversion", "TransferFcn", "TransportDelay", "Trigonometry"),
 )
 """Types of blocks whose output is as wide as their inputs."""
+_JOINS = ("Concatenate", "Mux")
+"""Types of blocks that want one type of all their inputs, side by side."""
 _SIZED = {"CombinatorialLogic": "TruthTable", "DiscreteStateSpace": "B", "Gain": "Gain", "StateSpace": "B"}
 """Types of blocks whose parameter says how wide their input is."""
 BACKWARDS = "Inherit: Inherit via back propagation"
@@ -166,27 +168,44 @@ def _data(sheet: Sheet, pin: Pin, block: SimulinkBlock) -> Sequence[int]:
 def siblings(sheets: Sheets, path: str, sid: str, depth: int = 0) -> Iterator[tuple[str, Pin]]:
     """Yield the other inputs of the blocks behind an output that want one type of all their inputs."""
     for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)):
-        if block.type in ("RelationalOperator", "Product") or block.type in KEEPS_TYPE:
+        if block.type == "BusAssignment" and pin.number > 1:
+            yield at, Pin(pin.sid, "in", 1)
+        elif block.type in ("RelationalOperator", "Product", *_JOINS, *KEEPS_TYPE):
             data = _data(sheets[at], pin, block)
             if pin.number in data:
                 yield from ((at, Pin(pin.sid, "in", k)) for k in data if k != pin.number)
-            if len(data) == 1 and depth < 20:
+            if (len(data) == 1 or block.type in _JOINS) and depth < 20:
                 yield from siblings(sheets, at, pin.sid, depth + 1)
 
 
-def type_declared(sheets: Sheets, path: str, sid: str, depth: int = 0) -> str:
-    """Return the data type that a port or the element of a bus behind an output declares; "" without one."""
+def type_declared(
+    sheets: Sheets,
+    path: str,
+    sid: str,
+    known: Callable[[str, Pin], Signal | None] = lambda at, pin: None,
+    depth: int = 0,
+) -> str:
+    """Return the data type that a port or the element of a bus behind an output declares; "" without one.
+
+    `known` has the types of pins that are known already.
+    """
     for at, pin, block in ends(sheets, path, Pin(sid, "out", 1)) if depth < 5 else ():
         found, said = "", collapsed(block.values.get("OutDataTypeStr", ""))
-        if block.type in ("Inport", "Outport") and not said.startswith("Inherit"):
+        initial = block.type == "DiscreteIntegrator" and pin.number > 1
+        if (block.type in ("Inport", "Outport") or initial) and not said.startswith("Inherit"):
             found = said
         elif block.type == "BusCreator" and said.startswith("Bus:"):
             bus = sheets[at].names.get(said.partition(":")[2].strip())
             elements = bus.get("Elements", []) if isinstance(bus, Mapping) else []
             if isinstance(elements, list) and pin.number <= len(elements):
                 found = str(elements[pin.number - 1].get("DataType", ""))
-        elif block.type in KEEPS_TYPE and (block.type != "Switch" or pin.number != 2):
-            found = type_declared(sheets, at, pin.sid, depth + 1)
+        elif block.type == "BusAssignment" and pin.number > 1:
+            whole, names = known(at, Pin(pin.sid, "in", 1)), block.values.get("AssignedSignals", "").split(",")
+            leaves = whole.kind.leaves if whole is not None and isinstance(whole.kind, Bus) else ()
+            place = ".".join(map(field_name, names[pin.number - 2].split("."))) if pin.number - 2 < len(names) else ""
+            found = next((type_text(Signal(one.kind)) for one in leaves if one.name == place), "")
+        elif block.type in (*KEEPS_TYPE, *_JOINS, "Reshape") and (block.type != "Switch" or pin.number != 2):
+            found = type_declared(sheets, at, pin.sid, known, depth + 1)
         if found:
             return found
     return ""

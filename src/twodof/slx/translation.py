@@ -71,6 +71,8 @@ class Asked:
     dt: float
     labels: list[str] = field(default_factory=list)
     """Names of the lines at the inputs; "" for a line without one."""
+    loose: Sequence[int] = ()
+    """Numbers of the inputs that nothing drives."""
     notes: list[str] = field(default_factory=list)
     """What is approximated."""
     folders: Sequence[Path] = ()

@@ -15,7 +15,7 @@ import numpy as np
 from twodof.slx.matlab.values import NotComputed
 
 DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
-DEEPEST_BLOCKS = 50
+DEEPEST_BLOCKS = 60
 _TOKEN = re.compile(
     r"""(?P<space>(?:[ \t]|\.\.\.[^\n]*\n)+)|(?P<comment>[%\#][^\n]*)
       |(?P<whole>0[xX][0-9a-fA-F]{1,16})|(?P<number>(?:\d+(?:\.(?![*/\\^'])\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?)

@@ -252,8 +252,9 @@ def is_literal(element: Any) -> bool:
 
 
 def kind_of(element: Any) -> str:
-    """Return the kind of an element in the block language."""
-    return element.kind if isinstance(element, Expr) else numbers.kind_of(element)
+    """Return the kind of an element in the block language; a single is real, and stays single."""
+    found = element.kind if isinstance(element, Expr) else numbers.kind_of(element)
+    return "real" if found == "float32" else found
 
 
 def class_of(array: Array) -> str:
