@@ -22,7 +22,7 @@ from twodof.flight.starters.attitude import stock_attitude
 from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
 from twodof.rig.parameters import paper
 from twodof.signals import Q_AGE
-from twodof.sim.promised.rail_promise import LanesFlight, fly_lanes
+from twodof.sim.promised.rail_promise import RigFlights, fly_rigs
 
 VIBRATION = float(paper()["vibration_hz"]), float(paper()["vibration_r2"])
 
@@ -93,10 +93,10 @@ def rig_of(design: FlownDesign) -> dict[str, float]:
     }
 
 
-def flown(designs: list[FlownDesign], seed: int) -> LanesFlight:
+def flown(designs: list[FlownDesign], seed: int) -> RigFlights:
     """The noisy flights, a lane for each design."""
     every = [one.gains.parameters() for one in designs]
-    return fly_lanes(
+    return fly_rigs(
         [rig_of(one) for one in designs],
         "theta0",
         designs[0].promise.goal,

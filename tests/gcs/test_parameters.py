@@ -259,7 +259,7 @@ def test_watchers_see_a_flashed_controllers_parameters_which_restarts_keep(tmp_p
                 stock = await watching.parameters.all()
                 with pytest.raises(ParameterError, match="no such parameter"):
                     await watching.parameters.read("attitude_control.k_q")
-                await pilot.fly_controller("attitude_control", to_json(starter("lqr-attitude")), said=None)
+                await pilot.fly_controller("attitude_control", to_json(starter("lqr-attitude")), progress=None)
                 k_q = starter("lqr-attitude").params["k_q"].value
                 assert await watching.parameters.read("attitude_control.k_q") == pytest.approx(k_q, rel=1e-7)
                 await pilot.parameters.update({"attitude_control.k_q": 0.2, "attitude_control.k_past[4]": 0.1})

@@ -267,16 +267,16 @@ class AsyncDrone(DroneView):
         template: str,
         diagram: str | bytes,
         timeout: float = 120.0,
-        said: Callable[[str, float], None] | None = None,
+        progress: Callable[[str, float], None] | None = None,
     ) -> None:
         """Send a controller, the JSON of its `diagram`, and fly it in a sandbox in place of that of `template`.
 
         The stock controller's diagram restores the stock one. Raises Rejected if the drone is armed, cannot build
-        controllers, or finds a fault in the diagram; the controller before then stays active. `said` is called with the
-        current step and the share done. The call can be cancelled until `said` gets `BUILDS`: from then on the drone
-        goes on by itself.
+        controllers, or finds a fault in the diagram; the controller before then stays active. `progress` is called with
+        the current step and the share done. The call can be cancelled until `progress` gets `BUILDS`: from then on the
+        drone goes on by itself.
         """
-        tell = said or (lambda text, share: None)
+        report = progress or (lambda text, share: None)
         self._needs_ours("flying a controller of your own", "folder of controllers")
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
@@ -284,9 +284,9 @@ class AsyncDrone(DroneView):
         self.session.check(self.session.now)  # the last state of a lost drone says nothing
         if self.state.armed:
             raise Rejected("the drone is armed", deadline.where, "disarm it first")
-        tell("asks the drone", 0.0)
+        report("asks the drone", 0.0)
         await self.commands.run("USER_1", [1.0], deadline.left, "asking whether it can build controllers")
-        sending = partial(_sending, tell)
+        sending = partial(_sending, report)
         sending(0.0)
         await self.files.write(path, content, deadline.left, sending)
         await self.commands.run("USER_1", [], deadline.left, "flying another controller")
@@ -519,8 +519,8 @@ class AsyncDrone(DroneView):
         return await self.commands.request(name, asking, _GREETING_RETRY_S) is not None
 
 
-def _sending(said: Callable[[str, float], None], share: float) -> None:
-    said("sends it" if share < 1.0 else BUILDS, 0.05 + 0.35 * share)
+def _sending(report: Callable[[str, float], None], share: float) -> None:
+    report("sends it" if share < 1.0 else BUILDS, 0.05 + 0.35 * share)
 
 
 def _reset_answer(got: Any) -> Any | None:

@@ -17,7 +17,7 @@ from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.rig.rig import model_parameters
 from twodof.sim.linear import cascade_margins
-from twodof.sim.promised.rail_promise import BEFORE, RailFamily, check_rail, fly_lanes, rail_promise
+from twodof.sim.promised.rail_promise import BEFORE, RailFamily, check_rail, fly_rigs, rail_promise
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +56,7 @@ def test_promise_holds_for_other_members() -> None:
     assert made.failed == 0.0
     step = STEPS["velocity"]
     rigs = FAMILY.rigs(count, seed=77)
-    fresh = fly_lanes(rigs, step.setpoint, step.goal, step.duration, gains=STUDENT, read=step.channels, seed=999_999)
+    fresh = fly_rigs(rigs, step.setpoint, step.goal, step.duration, gains=STUDENT, read=step.channels, seed=999_999)
     kept: dict[str, int] = {}
     for k in range(count):
         found = made.verdict(fresh.time, {name: y[:, k] for name, y in fresh.channels.items()}).steps[0]
@@ -144,7 +144,7 @@ def test_refuses_a_bad_specification(text: str, tmp_path_factory: pytest.TempPat
         lambda: rail_promise(FAMILY, "attitude"),
         lambda: rail_promise(FAMILY, goal=math.nan),
         lambda: rail_promise(FAMILY, members=3),
-        lambda: fly_lanes(FAMILY.rigs(1), "q0", 1.0, 1.0),
+        lambda: fly_rigs(FAMILY.rigs(1), "q0", 1.0, 1.0),
         lambda: Promise.from_json({"rail_promise": 1}),
         lambda: check_rail(Specification(loop="velocity", overshoot=0.1), FAMILY),
     ],

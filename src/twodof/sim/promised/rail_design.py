@@ -65,7 +65,7 @@ class _Search:
         self.asked, self.flown = asked, False
         self.best: tuple[float, Gains, tuple[Requirement, ...]] | None = None
         self.tried = 0
-        self._family, self._kept, self._said = family, kept, progress
+        self._family, self._kept, self._progress = family, kept, progress
         self._members, self._seed = members, seed
 
     def judge(self, x: Array) -> float:
@@ -84,7 +84,7 @@ class _Search:
         worst = float(misses.max() + _MEAN * misses.mean())
         self.tried += 1
         most = (_LINEAR + _COARSE) * (linear is not None) + (_FLIGHTS + _COARSE) * (flown is not None)
-        self._said(min(1.0, self.tried / most))
+        self._progress(min(1.0, self.tried / most))
         if self.best is None or worst < self.best[0]:
             self.best = worst, gains, rows
         if self.flown and misses.max() < -RESERVE:

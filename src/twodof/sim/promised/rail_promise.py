@@ -129,11 +129,11 @@ HOLD = 8.0
 BEFORE = 125
 """Number of samples kept before the step: .5 s."""
 
-_CHUNK = 250  # steps between two calls of `said`
+_CHUNK = 250  # steps between two calls of `progress`
 
 
 @dataclass(frozen=True, eq=False)
-class LanesFlight:
+class RigFlights:
     """Flights of several rigs: `time` (steps,) [s], 0 at the step, from `BEFORE` samples earlier; `channels` by name.
 
     Each channel is (steps, rigs).
@@ -143,7 +143,7 @@ class LanesFlight:
     channels: Mapping[str, Array]
 
 
-def fly_lanes(
+def fly_rigs(
     rigs: Sequence[Mapping[str, float]],
     setpoint: str,
     goal: float,
@@ -154,21 +154,21 @@ def fly_lanes(
     controllers: Iterable[Diagram] = (),
     read: Sequence[str] = ("theta", "q", "M"),
     seed: int = 1,
-    said: Callable[[float], None] = lambda share: None,
-) -> LanesFlight:
+    progress: Callable[[float], None] = lambda share: None,
+) -> RigFlights:
     """Fly all `rigs` with `setpoint` ("theta0", "v0" or "x0") at 0, then at `goal` for `duration` [s].
 
     Each of `rigs` is a rig's parameters by name; the k-th has the noise of `seed` + k. `read` names the outputs of the
     closed loop to return. `gains` are those of the stock loops, and `controllers` fly in place of some. `tuned` are
-    parameters of the closed loop by path, a value for each rig. `said` is called with the share done; an exception that
-    it raises ends the flights. Raises ParameterError for another set-point, and as `closed_loop` and `build`.
+    parameters of the closed loop by path, a value for each rig. `progress` is called with the share done; an exception
+    that it raises ends the flights. Raises ParameterError for another set-point, and as `closed_loop` and `build`.
     """
     modes = {"theta0": "attitude", "v0": "velocity", "x0": "position"}
     if setpoint not in modes:
-        raise ParameterError(f"no step is defined for {setpoint!r:.40}", "fly_lanes", f"give one of {', '.join(modes)}")
+        raise ParameterError(f"no step is defined for {setpoint!r:.40}", "fly_rigs", f"give one of {', '.join(modes)}")
     program = build(closed_loop(gains, controllers=controllers), BASE_DT)
     if not isinstance(program, CompiledProgram):
-        raise CompileError("flights of many rigs need a C compiler", "fly_lanes", "install gcc, or the wheel ziglang")
+        raise CompileError("flights of many rigs need a C compiler", "fly_rigs", "install gcc, or the wheel ziglang")
     machine = Instances(program, len(rigs))
     values = {f"rig.{name}": [rig[name] for rig in rigs] for name in rigs[0]}
     # As the experiments have it, rings lock the cart while the pitch is stepped.
@@ -181,7 +181,7 @@ def fly_lanes(
     steps = begin + round(duration / PERIOD) + 1
     kept: dict[str, list[Array]] = {name: [] for name in read}
     for first in range(0, steps, _CHUNK):
-        said(first / steps)
+        progress(first / steps)
         k = np.arange(first, min(first + _CHUNK, steps))
         given = {name: np.zeros(len(k)) for name in SETPOINTS}
         given |= {name: np.zeros(len(k), dtype=bool) for name in ("in_reset", "use_trim")}
@@ -192,7 +192,7 @@ def fly_lanes(
         for name in read:
             kept[name].append(np.asarray(out[name][::TICKS], dtype=float)[k >= begin - BEFORE])
     time = np.asarray((np.arange(begin - BEFORE, steps) - begin) * PERIOD, dtype=np.float64)
-    return LanesFlight(time, {name: np.concatenate(parts) for name, parts in kept.items()})
+    return RigFlights(time, {name: np.concatenate(parts) for name, parts in kept.items()})
 
 
 MEMBERS = 400
@@ -218,7 +218,7 @@ def rail_promise(
 
     The members fly on the virtual rig with all noise and limits. `goal` [m/s or m] and `duration` [s] are by default
     those of `STEPS`. `progress` is called with the share done. Raises ParameterError for numbers out of range, and as
-    `RailFamily.rigs` and `fly_lanes`.
+    `RailFamily.rigs` and `fly_rigs`.
     """
     if loop not in LOOPS:
         raise ParameterError(f"no promise is defined for {shown(loop)}", "rail_promise", f"give {' or '.join(LOOPS)}")
@@ -228,7 +228,7 @@ def rail_promise(
         raise ParameterError(f"a step of {goal!r} is out of bounds", "rail_promise", "give .01 to 1 m/s or m")
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
     rigs, diagrams = family.rigs(members, seed), tuple(controllers)
-    flown = fly_lanes(
+    flown = fly_rigs(
         rigs,
         step.setpoint,
         goal,
@@ -237,7 +237,7 @@ def rail_promise(
         controllers=diagrams,
         read=(*step.channels, "true_x"),
         seed=1000 * seed,
-        said=progress,
+        progress=progress,
     ).channels
     name = ", ".join(one.name for one in diagrams) or "the stock cascade"
     lost = _lost(flown, rigs, step.follows, goal)
