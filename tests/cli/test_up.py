@@ -104,7 +104,7 @@ def test_the_start_is_announced_before_it_takes_its_time(capfd: pytest.CaptureFi
             printed.append(capfd.readouterr().err)
 
         async def run(self) -> None:
-            """Nothing runs."""
+            """Run nothing."""
 
     asyncio.run(_run(Fleet([], [], None, print), [LocalDrone(2)], lockstep=True, json=False))
     assert "starting the drone; the first start compiles the flight code" in printed[0]

@@ -154,7 +154,7 @@ def test_results_print_as_one_short_line(greybox: Estimate, pitch_records: tuple
 
 
 def test_an_estimate_goes_to_python_control(greybox: Estimate) -> None:
-    """At low frequencies q / M is mu j w / w_n^2 of the pendulum, whatever the delay."""
+    """At low frequencies q / M is mu j w / w_n^2 of the pendulum for any delay."""
     system = greybox.linear(DT).to_control()
     omega = 0.01
     (gain,) = np.abs(system(np.exp(1j * omega * DT))[system.output_labels.index("q")])

@@ -82,9 +82,10 @@ def predict(
 ) -> PredictedMotion:
     """Predict the motion when `loop` ("M", "q", "theta", "v", "x") follows `excitation`, from a hover at `x` [m].
 
-    `rig` is "lab", "paper", a file of a rig or of an identified model, or the rig's parameters (`sim.identified_rig`).
-    At `thrust` 0 the rig is at rest before the excitation. `rings` locks the cart. Raises ExperimentError for an
-    unknown loop, a wrong unit, a loop that moves a locked cart, a thrust outside 0 to 1, and an `x` beyond the rail.
+    `rig` is "lab", "paper", a file of a rig or of an identified model, or its parameters, as of
+    `sim.resimulation.identified_rig`. At `thrust` 0 the rig is at rest before the excitation. `rings` locks the cart.
+    Raises ExperimentError for an unknown loop, a wrong unit, a loop that moves a locked cart, a thrust outside 0 to 1,
+    and an `x` beyond the rail.
     """
     if loop not in LOOP_MODES:
         raise ExperimentError(f"unknown loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")

@@ -153,7 +153,7 @@ def test_the_catalogue_says_what_to_run_where_nothing_can_be_simulated(monkeypat
 
 
 def simulink(folder: Path, *files: tuple[str, bytes], system: str = "") -> dict[str, Any]:
-    """What the laboratory says of a model that came as these files."""
+    """Return the laboratory's report on a Simulink model of these files."""
     (folder / "files").write_bytes(b"".join(content for _, content in files))
     names, sizes = [name for name, _ in files], [len(content) for _, content in files]
     return diagram_work.simulink(str(folder), names, sizes, system)
