@@ -104,6 +104,21 @@ def test_a_refusal_appears_beside_the_button(lab: ServedLab, open_page: OpenPage
     expect(page.get_by_role("alert").filter(has_text="holds no excitation")).to_be_visible(timeout=LONG_MS)
 
 
+def test_it_goes_on_waiting_for_a_busy_computer(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab).replace("identify", "logs"), expects=("504",))
+    slow = {"what": "the work took longer than 30 s", "where": "log", "remedy": "ask for less"}
+    for asked in ("identification", "identification/plan", "jobs/*"):
+        page.route(f"**/api/{asked}", lambda route: route.fulfill(status=504, json=slow), times=1)
+    page.get_by_role("link", name="Identify", exact=True).click()
+    waits = page.get_by_text("It is asked again by itself")
+    expect(waits).to_be_visible()
+    expect(page.get_by_text("The logs are being listed")).to_be_visible()
+    expect(page.get_by_role("combobox", name="Log", exact=True)).to_be_visible()
+    expect(waits).to_be_hidden()
+    page.get_by_role("button", name="Preview the accuracy").click()
+    expect(page.get_by_role("row", name="w_n")).to_be_visible(timeout=LONG_MS)
+
+
 @pytest.mark.long
 def test_it_fits_and_can_be_read(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?log=2026-01-01-10-00-00-impulse.mcap&experiment=impulse"))

@@ -204,6 +204,7 @@ class Gate:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+        scope["headers"] = [one for one in scope["headers"] if one[0] != b"range"]  # whole files: a range costs as much
         refusal = self._refusal(HTTPConnection(scope))
         state, address = scope["state"], scope["client"][0] if scope.get("client") else "an unknown place"
         role = state.get("role")

@@ -63,6 +63,30 @@ export async function request(
   throw refusal(response.status, await response.json().catch(() => ({})));
 }
 
+export const AGAIN_MS = 2000;
+/** Status without an answer in time, of too many requests, and of work that took too long. */
+const SLOW = [0, 429, 503, 504];
+
+/** Return whether the computer is too busy, so that the same request may succeed later. */
+export const isSlow = (failure: unknown) => failure instanceof ApiError && SLOW.includes(failure.status);
+
+/** Ask again while the computer is too busy to answer, until `ended`; tell `waits` of each failure. */
+export async function patiently<T>(
+  ask: () => Promise<T>,
+  ended: () => boolean = () => false,
+  waits: (failure: unknown) => void = () => {},
+): Promise<T> {
+  for (;;) {
+    try {
+      return await ask();
+    } catch (failure) {
+      if (ended() || !isSlow(failure)) throw failure;
+      waits(failure);
+    }
+    await new Promise((done) => setTimeout(done, AGAIN_MS));
+  }
+}
+
 function refusal(status: number, answer: unknown): ApiError {
   const said = answer as { what?: string; where?: string; remedy?: string };
   return new ApiError(status, said.what ?? `the server refuses (${status})`, said.where, said.remedy);

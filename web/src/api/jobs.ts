@@ -1,4 +1,4 @@
-import { ApiError, get, send } from "./client";
+import { ApiError, get, patiently, send } from "./client";
 
 /** Background computation of the server. */
 export interface Job<T> {
@@ -32,7 +32,10 @@ export async function jobResult<T>(
     onChange(job);
     await new Promise((done) => setTimeout(done, LOOK_MS));
     if (signal?.aborted) return undefined;
-    job = await get<Job<T>>(`jobs/${started.id}`);
+    job = await patiently(
+      () => get<Job<T>>(`jobs/${started.id}`),
+      () => signal?.aborted ?? false,
+    );
   }
   onChange(job);
   if (job.error !== null) throw new ApiError(409, job.error.what, job.error.where, job.error.remedy);

@@ -8,7 +8,7 @@ export class BackgroundJob<T> {
   result = $state.raw<T | undefined>(undefined);
   failure = $state("");
   running = $state(false);
-  private cancelled = false;
+  cancelled = false;
   private readonly left = new AbortController();
 
   /** `end` cancels the job of an id. */

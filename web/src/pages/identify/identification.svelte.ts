@@ -1,4 +1,4 @@
-import { messageOf } from "../../api/client";
+import { messageOf, patiently } from "../../api/client";
 import type { Choices, FitView, FlownExperiment, Plan } from "../../api/identification";
 import { fitLog, flyExperiment, identificationChoices, planExperiment, stopFlight } from "../../api/identification";
 import type { Job } from "../../api/jobs";
@@ -44,7 +44,12 @@ export class Identification {
 
   async load(): Promise<void> {
     try {
-      this.choices = await identificationChoices();
+      this.choices = await patiently(
+        identificationChoices,
+        () => false,
+        (failure) => (this.failure = `${messageOf(failure)}. It is asked again by itself.`),
+      );
+      this.failure = "";
       if (this.choice.log === "") this.chooseLog(this.choices.flights[0] ?? "");
     } catch (failure) {
       this.failure = messageOf(failure);
@@ -140,7 +145,7 @@ export class Identification {
   ): Promise<void> {
     [this.failure, this.stopped] = ["", false];
     this.running = { doing, flight: landed !== undefined, job };
-    await job.run(start);
+    await job.run(landed ? start : () => patiently(start, () => job.cancelled));
     this.failure = job.failure;
     if (job.result !== undefined) await landed?.(job.result);
     this.running = undefined;
