@@ -183,7 +183,7 @@ def check_steady(block: Block) -> None:
 
 
 def _own(block: Block) -> tuple[dict[int, Expr], dict[int, Expr]]:
-    """Return the leaves that `prepare` is given and those that the other methods are, by id."""
+    """Return the arguments of `prepare`, and those of the other methods, as leaves by id."""
     clock = clock_leaves()
     prepared = [*leaves_of("param", block.params).values(), clock["dt"], clock["base_dt"]]
     stepped = [*prepared, clock["tick"], *leaves_of("param", block.derived).values()]

@@ -362,7 +362,7 @@ def enumerations(inputs: Sequence[Any], states: Sequence[Any], *params: Sequence
 
 
 def _check_members(declared: Sequence[Any], given: Mapping[str, Expr], leaves: Enumerations) -> None:
-    """Raise DiagramError if what is declared of an enumeration is given what may be none of its members."""
+    """Raise DiagramError if a value for a declared enumeration may be none of its members."""
     for d in declared:
         if d.enum is not None and d.name in given and not stays_within(d.enum, given[d.name], leaves):
             raise DiagramError(

@@ -373,7 +373,7 @@ def run_tests(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Run tests of a diagram: what goes in, and what must hold of what comes out. Exit status 1 if one fails.
+    """Run tests of a diagram: inputs over time, and what its outputs must do. Exit status 1 if one fails.
 
     Coverage is measured on the reference, in the same precision: each limit, switch and condition has two sides.
     """

@@ -42,15 +42,15 @@ def flash(
     force_unstable: Annotated[bool, flag("Flash it although it is unstable on the virtual rig.", FORCE)] = False,
     json: Json = False,
 ) -> None:
-    """Check and compile a controller, say its sizes and what changes against what flies now, and let it fly.
+    """Check and compile a controller, print its sizes and its changes against the active one, and let it fly.
 
     The diagram has the ports of a template: attitude_control, position_control or motor_control. In the simulator it
-    flies with `twodof simulate --controller flashed` and not otherwise; what was flashed of another template stays
-    beside it. `twodof flash stock-attitude --to sim` brings the stock one back. What flies in the simulator is kept in
-    the user's data folder (TWODOF_DATA, else XDG_DATA_HOME/twodof or ~/.local/share/twodof), in flashed/sim.
+    flies only with `twodof simulate --controller flashed`. A controller that was flashed for another template stays.
+    `twodof flash stock-attitude --to sim` brings the stock one back. The simulator's controllers are kept in the user's
+    data folder (TWODOF_DATA, else XDG_DATA_HOME/twodof or ~/.local/share/twodof), in flashed/sim.
 
-    First it flies a small step on the virtual rig, and the margins of its loops are said (`twodof diagram margins`).
-    What is unstable there is not flashed, unless --force-unstable says so.
+    First it flies a small step on the virtual rig, and the margins of its loops are printed (`twodof diagram margins`).
+    A controller that is unstable there is not flashed without --force-unstable.
 
     A drone must be disarmed. It builds the controller for its own sandbox. Until that is done, the earlier controller
     flies on; from then on the new one flies, and the drone keeps it over restarts.

@@ -212,9 +212,9 @@ def recover(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write what is sound of a recording as a complete .mcap file; FILE stays as it is.
+    """Write the sound parts of a recording as a complete .mcap file; FILE stays as it is.
 
-    Exit status 1: it is written, and no checksum vouches for something in it, which is named here and in the file.
+    Exit status 1: the file is written, but parts of it have no checksum. They are named here and in the file.
     """
     target = out if out is not None else file.with_name(f"{file.stem}.recovered.mcap")
     if target.suffix.lower() != ".mcap":

@@ -230,7 +230,7 @@ def replay(
     precision: Annotated[RealType, option("Reals of the compiled code.")] = "float64",
     json: Json = False,
 ) -> None:
-    """Feed a log's inputs to the compiled flight code and compare what it gives with what was logged."""
+    """Feed a log's inputs to the compiled flight code, and compare its outputs with the logged ones."""
     log, gains_given = read_log(file), gains is not None
     flown = FlownParameters.of(log.provenance)
     result = replay_log(log, None if gains is None else load_gains(gains), precision)

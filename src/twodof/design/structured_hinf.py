@@ -129,7 +129,7 @@ class _Search:
         return np.asarray(np.clip(x[:-1] * self.scale, self.low, self.high))
 
     def _below(self, x: Array, omega: Array) -> Array:
-        """Return what each response at `omega` [rad/s] leaves below t, and what the poles leave to the border."""
+        """Return the distance of each response at `omega` [rad/s] below t, and of the poles to the stability border."""
         gains = x[:-1] * self.scale
         radius = max(float(np.abs(np.linalg.eigvals(one[0])).max()) for one in self.closed(gains))
         return np.append(x[-1] - self._sizes(gains, omega), 1.0 - radius - _INSIDE)

@@ -131,7 +131,7 @@ class _Layered:
         return self._with_terminals(rank)
 
     def _with_terminals(self, rank: dict[int, int]) -> list[int]:
-        """Terminals stand beside what they serve, or at the edges."""
+        """Return the columns with each terminal beside the box that it serves, or at the edges."""
         last = max(rank.values(), default=0)
         fed: dict[int, list[int]] = {}
         feeding: dict[int, list[int]] = {}

@@ -48,7 +48,7 @@ class WireChannel:
         self._assign(waiting)
 
     def _assign(self, waiting: list[_Trunk]) -> None:
-        """From left to right the trunk that may come next and crosses least; each as far left as it can be."""
+        """Place the trunks from left to right: of those that may come next, the one with the fewest crossings."""
         costs, earlier = _costs(waiting), _earlier(waiting)
         while waiting:
             free = [t for t in waiting if not earlier[t]]

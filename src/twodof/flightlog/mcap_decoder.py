@@ -101,7 +101,7 @@ def _frame(data: memoryview, at: int) -> tuple[int, int, int]:
 
 
 def _read(kind: Callable[[ReadDataStream], Record], content: bytes, extended: bool = False) -> Record:
-    """Return a record. Raises ValueError for one that differs from what its parts make.
+    """Return a record. Raises ValueError if its bytes differ from those that its fields encode to.
 
     An `extended` one may have further fields at its end, as the format allows to later versions.
     """

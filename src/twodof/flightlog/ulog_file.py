@@ -148,7 +148,7 @@ def scan_ulog(data: bytes, where: str, salvage: bool = False) -> ULogContents:
 
 
 def _stretches(data: bytes, where: str, salvage: bool, found: ULogContents) -> Iterator[tuple[int, int]]:
-    """Yield the parts of the file whose messages follow each other without a break; list the others as lost."""
+    """Yield the sound parts of the file, as (start, end); list the parts between them as lost."""
     size = len(data)
     start = at = HEADER.size
     synced, marked = 0, False

@@ -239,7 +239,7 @@ COPIED = 64  # elements of an array that are copied in the time of one operation
 
 @dataclass(frozen=True)
 class ExpressionCost:
-    """`size` [nodes]: what is compiled; `operations`: what one evaluation computes."""
+    """Cost of a graph: `size`, the number of compiled nodes, and `operations`, the number in one evaluation."""
 
     size: int = 0
     operations: int = 0

@@ -245,7 +245,7 @@ class RateTransition(UnitDelay):
 
 @library_block("data_store")
 class DataStore(UnitDelay):
-    """A value that one place writes and others read, without wires: y is what stood in it after its previous tick.
+    """Value that one place writes and others read, without wires: y is the value after the previous tick.
 
     Its input is fed by the one StoreWrite of its name, or by a connection. It is read by StoreReads, or by
     connections. Both look in the diagram that they are in and then in those around it; the nearest store of the name
@@ -271,7 +271,7 @@ class StoreWrite(_Passes):
 
 @library_block("store_read")
 class StoreRead(_Passes):
-    """y is what stands in the DataStore named `store`, which feeds the input u if nothing is connected to it."""
+    """y is the value of the DataStore named `store`, which feeds the input u if nothing is connected to it."""
 
     crossing = True
 

@@ -139,7 +139,7 @@ class Index(Block):
 
 @library_block("concatenate")
 class Concatenate(Block):
-    """y = the elements of a, then those of b, c, ...; `widths` are those of the inputs."""
+    """y = the elements of a, then of b, c, ...; `widths` are the widths of the inputs."""
 
     def __init__(self, widths: Sequence[int] = (2, 2), kind: Kind = "real", unit: str = "") -> None:
         sizes = counts(widths, 1, MAX_WIDTH, "widths")

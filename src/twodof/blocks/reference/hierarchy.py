@@ -317,7 +317,7 @@ class Hierarchy:
         return schedule
 
     def _append(self, schedule: Schedule, item: PortOf) -> None:
-        """Add a port to the end: beside those of its cell, unless it reads one of them, which then comes before."""
+        """Append a port to the schedule, to the last entry if that is of its cell and the port does not read it."""
         feeds_itself = any(need.cell is item.cell for need in self._needs(item))
         if schedule and schedule[-1][0] is item.cell and not feeds_itself:
             schedule[-1][1].append(item.port)

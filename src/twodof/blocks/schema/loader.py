@@ -224,7 +224,7 @@ class Loader:
         return machine
 
     def _measure(self, block: Block) -> None:
-        """Count what a block adds to what is compiled and to what a step computes, at any rates."""
+        """Count the nodes and operations that a block adds to the program and to a step, at any rates."""
         t = block.trace
         # Port by port, since each may be computed on its own.
         outputs = [self.meter.measure([e]) for e in t.outputs.values()]

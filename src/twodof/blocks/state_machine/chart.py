@@ -334,7 +334,7 @@ class MachineGraph:
         return self._recorded(function, lambda given: returned(function.place, given, declared, partial=True))
 
     def _recorded(self, function: MachineFunction, fitted: Callable[[Any], Found]) -> Found:
-        """Record a guard or an action, and return what it gives, `fitted` to what it should."""
+        """Record a guard or an action, and return its result after `fitted` has checked it."""
         with tracing(f"{self._label}, {function.place}"), comparing(self._enumerated):
             given = self._call(function)
             try:

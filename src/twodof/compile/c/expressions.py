@@ -470,7 +470,7 @@ class Renderer:
 
     @contextmanager
     def _scope(self, hidden: Sequence[int] = ()) -> Iterator[None]:
-        """Forget at the end what is named inside, for it stands within brackets; do not know the names `hidden`."""
+        """Open a scope of C: names made inside are forgotten at its end, and the names `hidden` are unknown inside."""
         outer = self._undo
         self._undo = [(key, self.named.pop(key)) for key in hidden if key in self.named]
         yield

@@ -122,7 +122,7 @@ def _cost(body: Sequence[Statement]) -> int:
 def _lines(
     statements: Sequence[Statement], depth: int, around: tuple[str, str], role: str
 ) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Yield the lines of statements, each with its block or its role; a comment stands above what belongs together.
+    """Yield the lines of statements, each with its block or role, with a comment where the block or role changes.
 
     `around` is the block or role that the last comment named, `role` that of statements without one.
     """

@@ -124,7 +124,7 @@ class _Pieces:
         return struct, made, sum(s.size or 1 for s in self.handed.values())
 
     def _piece(self, k: int, body: list[Statement]) -> list[Statement]:
-        """Return a piece that takes what it reads from the struct, and leaves there what others read."""
+        """Return a piece that loads its inputs from the struct, and stores there the values that other pieces read."""
         seen, wrote = _names(body), {written(s) for s in every(body)}
         before: list[Statement] = []
         after: list[Statement] = []

@@ -227,7 +227,7 @@ class Schedule:
         return fixed
 
     def _home(self, s: FlatSignal, at: int, sites: set[int], layout: MemoryLayout) -> int | None:
-        """Return the one segment in which a signal is needed, or None if it is computed where it stands."""
+        """Return the only segment that needs a signal, so that it is computed there; None to compute it in its own."""
         if len(sites) != 1 or s in layout.stored:
             return None
         (home,) = sites

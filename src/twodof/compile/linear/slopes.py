@@ -142,7 +142,7 @@ class Slopes:
         return total
 
     def _visits(self, what: str) -> list[_Visit]:
-        """Return the ticks of a period at which something is due; for `what` other than "next", the first one."""
+        """Return the ticks of a period at which a rate is due; only the first one unless `what` is "next"."""
         start = self.point.tick
         # At a tie the branch of the point itself may be one that no motion leads into: somewhere beside it, then.
         direction = np.random.Generator(np.random.PCG64(1)).standard_normal(self.seeds)
