@@ -7,6 +7,7 @@ import errno
 import os
 import time
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -99,19 +100,26 @@ def test_a_flight_that_records_itself_is_not_recorded_again(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("room", [0, 2000])
-def test_a_full_disk_is_said_once(room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Recording is tried again, with `room` for a file's beginning or without, and leaves nothing behind."""
-    write, begun = os.write, list[float]()
+def fill_disk(monkeypatch: pytest.MonkeyPatch, room: float) -> None:
+    """Leave room for the first file's head and first samples; no later write begins beyond `room` bytes of a file."""
+    write, heads = os.write, dict[int, int]()
 
-    def full(descriptor: int, data: bytes) -> int:
-        begun.append(time.monotonic())
-        if begun[-1] > begun[0] + 0.5 and os.fstat(descriptor).st_size + len(data) > room:
+    def limited(descriptor: int, data: bytes) -> int:
+        file = os.fstat(descriptor)
+        head = heads.setdefault(file.st_ino, len(data))
+        first = file.st_ino == next(iter(heads))
+        if file.st_size > head if first else file.st_size >= room:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return write(descriptor, data)
 
-    monkeypatch.setattr("twodof.flightlog.append_only_file.os.write", full)
+    monkeypatch.setattr("twodof.flightlog.append_only_file.os.write", limited)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("room", [0, 1])
+def test_a_full_disk_is_said_once(room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recording is tried again, with `room` for a file's head or without, and leaves nothing behind."""
+    fill_disk(monkeypatch, room)
     flown = _Flown(tmp_path, 12.0, telemetry=True, each=lambda: time.sleep(0.03))
     assert flown.last == ""
     assert len(flown.named) == len(flown.told) == len([*tmp_path.iterdir()]) == 1
@@ -123,16 +131,8 @@ def test_a_full_disk_is_said_once(room: int, tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.long
 def test_recording_goes_on_where_there_is_room_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, begun = os.write, list[float]()
-
-    def full(descriptor: int, data: bytes) -> int:
-        begun.append(time.monotonic())
-        if 0.5 < begun[-1] - begun[0] < 1.0:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(descriptor, data)
-
-    monkeypatch.setattr("twodof.flightlog.append_only_file.os.write", full)
-    flown = _Flown(tmp_path, 9.0, telemetry=True, each=lambda: time.sleep(0.03))
+    fill_disk(monkeypatch, inf)
+    flown = _Flown(tmp_path, 12.0, telemetry=True, each=lambda: time.sleep(0.03))
     assert flown.last in flown.told
     assert len(flown.named) == len(flown.told) == 2
     assert len(flown.failed) == 1
