@@ -117,6 +117,15 @@ def test_a_starter_is_drawn_and_simulated(server: Served, open_page: OpenPage) -
     assert axe(page, "dialog") == []
 
 
+def test_a_busy_computer_is_asked_again(server: Served, open_page: OpenPage) -> None:
+    page = open_page(link(server).replace("diagram", "logs"), expects=("504",))
+    slow = {"what": "the work took longer than 30 s", "where": "diagram", "remedy": "ask for less"}
+    for asked in ("catalogue", "check"):
+        page.route(f"**/api/diagrams/{asked}", lambda route: route.fulfill(status=504, json=slow), times=1)
+    page.get_by_role("link", name="Diagram", exact=True).click()
+    expect(drawn(page).get_by_text("It compiles")).to_be_visible()
+
+
 def test_all_edits_work_by_keys(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
     sheet(page).focus()

@@ -20,7 +20,7 @@ from twodof.lab import diagram_work
 from twodof.lab.access import RAW, WATCHERS_MAY, lab_router, receive_file, takes
 from twodof.lab.answers import NotThere, RequestBody
 from twodof.lab.folders import FileName
-from twodof.lab.lab import CurrentLab, LabServer
+from twodof.lab.lab import WARM_UP_S, CurrentLab, LabServer
 from twodof.lab.processes import Answer, Told
 
 router = lab_router("/api/diagrams", "diagrams")
@@ -56,7 +56,7 @@ class BlocksRequest(RequestBody):
 @router.get("/catalogue")
 async def blocks(lab: CurrentLab) -> dict[str, Any]:
     """List the library's blocks with ports, parameters, units and text, the starter diagrams, and the templates."""
-    return await lab.workbench.do(diagram_work.catalogue, seconds=COMPILE_S)
+    return await lab.workbench.do(diagram_work.catalogue, seconds=WARM_UP_S)
 
 
 @router.get("/starters/{name}")

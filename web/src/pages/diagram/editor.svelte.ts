@@ -1,4 +1,5 @@
 // The editor: which diagram is open, where in it one is, what is selected, what was done. All edits go through `apply`.
+import { patiently } from "../../api/client";
 import * as api from "../../api/diagrams";
 import { toastError } from "../../state/toasts.svelte";
 import type { Opened } from "./address";
@@ -36,7 +37,7 @@ class Editor {
 
   async start(): Promise<void> {
     if (this.catalogue !== undefined) return;
-    const found = await api.catalogue();
+    const found = await patiently(api.catalogue);
     for (const entry of found.blocks) {
       this.shapes.learn(writeJson({ type: entry.type, config: entry.config }), entry.shape);
     }
@@ -70,7 +71,7 @@ class Editor {
       const keys = unknown.slice(at, at + 500);
       keys.forEach((key) => this.asked.add(key));
       try {
-        const answers = await api.shapes(keys);
+        const answers = await patiently(() => api.shapes(keys));
         keys.forEach((key, i) => this.shapes.learn(key, answers[i]!));
       } catch (failure) {
         toastError(failure);

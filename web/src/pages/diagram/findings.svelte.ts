@@ -1,11 +1,13 @@
 // Checks of the diagram's wires and blocks: asked of the server a moment after each change.
 import * as api from "../../api/diagrams";
-import { messageOf } from "../../api/client";
+import { messageOf, patiently } from "../../api/client";
 import { editor } from "./editor.svelte";
 import type { Diagram } from "./model/diagram";
 import { loopOnSheet, placeOfFinding, seenFrom, type Place } from "./model/blame";
 
 const WAIT_MS = 60;
+/** A diagram that takes too long each time is too large. */
+const MOST_TRIES = 3;
 
 export interface Found extends api.Finding {
   readonly place: Place;
@@ -78,8 +80,12 @@ class Findings {
   private async look(root: Diagram): Promise<void> {
     if (this.busy) return this.changed(root); // one at a time: the latest counts
     this.busy = true;
+    let tries = 0;
     try {
-      const checked = await api.check(editor.text);
+      const checked = await patiently(
+        () => api.check(editor.text),
+        () => editor.root !== root || (tries += 1) === MOST_TRIES,
+      );
       if (editor.root === root) {
         [this.checked, this.of, this.failure] = [checked, root, ""];
       }
