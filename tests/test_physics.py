@@ -116,13 +116,14 @@ def fly(
 
 
 def test_the_accelerometer_is_the_second_derivative_of_its_place(whole: CompiledProgram) -> None:
-    below = 0.08
-    values = {**lab().snapshot(), "imu_below": below, "acc_scale": 1.0}
+    below, ahead = 0.08, 0.07
+    values = {**lab().snapshot(), "imu_below": below, "imu_ahead": ahead, "acc_scale": 1.0}
     t = np.arange(800) * TICK
     moment = 0.02 * np.sin(9.0 * t)
     out = fly(whole, 800, 0.4 + moment, 0.4 - moment, values)
     theta, x = out["theta"], out["x"]
-    place = np.stack([x + below * np.sin(theta), below * np.cos(theta)])  # downwards positive
+    sine, cosine = np.sin(theta), np.cos(theta)
+    place = np.stack([x + below * sine + ahead * cosine, below * cosine - ahead * sine])  # downwards positive
     k = np.arange(404, 796, 4)
     # The mean over the 4 ms before sample k is the second difference about k - 2.
     middle = k - 2
@@ -134,8 +135,8 @@ def test_the_accelerometer_is_the_second_derivative_of_its_place(whole: Compiled
     # The rig takes the attitude and q^2 of the sample for the whole interval, of which the middle is 2 ms older: in
     # that time the attitude turns by 2 ms q and q^2 changes by 2 ms 2 q q'.
     q, q_rate = np.abs(out["q"]).max(), np.abs(np.gradient(out["q"], TICK)).max()
-    coarse = 2.0 * TICK * below * (q**3 + 3.0 * q * q_rate)
-    assert below * q_rate > 20.0 * coarse  # a wrong sign of a term would show
+    coarse = 2.0 * TICK * max(below, ahead) * (q**3 + 3.0 * q * q_rate)
+    assert min(below, ahead) * q_rate > 20.0 * coarse  # a wrong sign of a term would show
     assert np.abs(measured - expected).max() < coarse
 
 

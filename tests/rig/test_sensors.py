@@ -51,13 +51,15 @@ def test_without_noise_the_imu_is_exact(program: CompiledProgram) -> None:
     theta = 0.3 * np.sin(3.0 * t)
     q = 0.9 * np.cos(3.0 * t)
     v = 0.2 * np.sin(5.0 * t)
-    out = machine(program, 0.0, **{"imu.imu_below": 0.02}).run(500, {"theta": theta, "q": q, "v": v, "load": 1.0})
+    place = {"imu.imu_below": 0.02, "imu.imu_ahead": 0.03}
+    out = machine(program, 0.0, **place).run(500, {"theta": theta, "q": q, "v": v, "load": 1.0})
     along, turning = np.diff(v) / TS, np.diff(q) / TS
     assert out["gyro_y"] == pytest.approx(q, abs=1e-15)
     # Specific force of the drone's axes: R(theta) (acceleration - gravity), and the IMU's own turn.
     s, c = np.sin(theta[1:]), np.cos(theta[1:])
-    assert out["acc_x"][1:] == pytest.approx(c * along + 9.81 * s + 0.02 * turning, abs=1e-12)
-    assert out["acc_z"][1:] == pytest.approx(s * along - 9.81 * c - 0.02 * q[1:] ** 2, abs=1e-12)
+    pulled = q[1:] ** 2
+    assert out["acc_x"][1:] == pytest.approx(c * along + 9.81 * s + 0.02 * turning - 0.03 * pulled, abs=1e-12)
+    assert out["acc_z"][1:] == pytest.approx(s * along - 9.81 * c - 0.02 * pulled - 0.03 * turning, abs=1e-12)
 
 
 def test_the_range_has_its_own_clock(program: CompiledProgram) -> None:

@@ -155,7 +155,7 @@ UNKNOWNS: tuple[CalibratedUnknown, ...] = (
 PRIOR_WEIGHT = 0.02
 """Misfit, as a share of a channel's spread, that weighs as much as one standard deviation from a prior."""
 
-_DIFFERENCE = 0.02  # of a prior's standard deviation: above the steps that sticking makes in the misfit
+_DIFFERENCE = 0.05  # of a prior's standard deviation: above the steps that sticking makes in the misfit
 _TOLERANCE = 1e-5
 _ITERATIONS = 30
 

@@ -56,7 +56,7 @@ def _paper() -> dict[str, tuple[float, str]]:
         "gust": (0.0, "the paper's model has no disturbance"),
         "gyro_hover": (0.06, "hover noise of q in the logs, taken as measurement noise"),
         "tof_age": (0.0, "not in the paper"),
-        "imu_below": (0.0, "not in the paper"),
+        **dict.fromkeys(("imu_below", "imu_ahead"), (0.0, "not in the paper")),
         "capacity": (_FULL, "the paper's thrust is constant"),
         "resistance": (0.0, "the paper's thrust is constant"),
     }
@@ -87,6 +87,7 @@ _LAB: Mapping[str, str] = MappingProxyType(
         ),
         **dict.fromkeys(("vibration_hz", "vibration_r2"), _SPECTRUM + ": even from 40 to 100 Hz"),
         **dict.fromkeys(("acc_x_line", "acc_z_line", "gyro_line"), _SPECTRUM + ", 15 to 60 Hz, cart free"),
+        "imu_ahead": "logs, level holds: acc_z against the turning, 4 to 8 Hz",
         "ring_shake": _SPECTRUM + ", cart locked against free: 1.0 to .5 (x), 1.6 to .7 m/s2 (z)",
         **dict.fromkeys(
             ("resistance", "polarised_share", "polarised_time"),

@@ -43,7 +43,7 @@ class NoiseSource(Block):
 
 
 class Imu(Block):
-    """Accelerometer and gyro, body axes forward-right-down, `imu_below` m under the bearing.
+    """Accelerometer and gyro, body axes forward-right-down, `imu_below` m under the bearing and `imu_ahead` m ahead.
 
     The accelerometer gives the mean specific force since its last sample (it integrates, as flight controllers' IMUs
     do), so it sees impacts. Noise is white at rest. Running rotors add vibration in proportion to the thrust. One part
@@ -68,6 +68,7 @@ class Imu(Block):
     outputs = (Port("acc_x", unit="m/s2"), Port("acc_z", unit="m/s2"), Port("gyro_y", unit="rad/s"))
     params = (
         Param("imu_below", 0.0, unit="m", low=-0.2, high=0.2, text="IMU under the bearing"),
+        Param("imu_ahead", 0.0, unit="m", low=-0.2, high=0.2, text="IMU ahead of the bearing"),
         Param("acc_scale", 1.0, low=0.5, high=2.0, text="gain of the x axis"),
         Param("gyro_scale", 1.0, low=0.5, high=2.0, text="gain of the gyro"),
         Param("acc_bias", 0.0, unit="m/s2", low=-5.0, high=5.0, text="of the x axis"),
@@ -132,8 +133,9 @@ class Imu(Block):
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         sine, cosine = sine_cosine(u.theta)
         along, turning = (u.v - x.v) * p.per_dt, (u.q - x.q) * p.per_dt
-        acc_x = p.acc_scale * (cosine * along + GRAVITY * sine + p.imu_below * turning) + p.acc_bias
-        acc_z = sine * along - GRAVITY * cosine - p.imu_below * (u.q * u.q)
+        own_x = p.imu_below * turning - p.imu_ahead * (u.q * u.q)
+        acc_x = p.acc_scale * (cosine * along + GRAVITY * sine + own_x) + p.acc_bias
+        acc_z = sine * along - GRAVITY * cosine - p.imu_below * (u.q * u.q) - p.imu_ahead * turning
 
         fore, aft = (2.0 * PI * x[f"turned_{pair}"] for pair in PAIRS)
         # In hover each pair's line has the variance 1/2. Those of fore and aft pitch the drone in opposition.
