@@ -13,8 +13,8 @@ from scipy.io import savemat
 from tests import toolchains
 from tests.patience import PATIENCE_S
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.parser import assigned_names
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import Value, number
 
@@ -40,6 +40,8 @@ a1 = 1:0; a2 = numel(a1); a3 = [A; 5 6]; a4 = A \\ [1; 2]; a5 = [1 2] / A; a6 = 
 a8 = !true | 0; a9 = 3 ~= 4; b1 = round(-2.5) + fix(-2.7) + floor(-2.2); b2 = linspace(0, 1, 5); b3 = -[1 2](1);
 b4 = [1 2]'; b5 = reshape(1:6, 2, 3); b6 = repmat([1 2], 2, 2); b7 = norm([3 4]); b8 = atan2(1, -1);
 b9 = kron([1 2], [1;1]);
+c0 = 5; c1 = B([1; 2]); c2 = B(B > 2); c3 = c0([1; 1]); c4 = u([1 1]); c5 = A([1 2; 3 4]); c6 = [4 5 6]([1 2; 3 1]);
+c7 = h(h > 1); c8 = B([true false true]); c9 = B(:, [true false true]);
 """
 
 

@@ -15,7 +15,7 @@ from twodof.slx.data_types import kind_of
 from twodof.slx.dictionary import dictionary
 from twodof.slx.importer import Imported, import_system
 from twodof.slx.inspection import inspect
-from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.script import run
 from twodof.slx.model import read_model
 

@@ -26,10 +26,9 @@ from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
-from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
-from twodof.slx.matlab.program import IN_C
+from twodof.slx.matlab.program import IN_C, evaluate
 from twodof.slx.matlab.values import FUNCTIONS, Members, Value, as_array, number
 from twodof.slx.model import SimulinkChart, collapsed, port_number
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal

@@ -28,9 +28,9 @@ from twodof.blocks.library import (
     UniformNoise,
 )
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array
 from twodof.slx.translation import (
     Asked,

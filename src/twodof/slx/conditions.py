@@ -17,9 +17,9 @@ from twodof.blocks.declarations import Port, State
 from twodof.blocks.expressions.expr import int32, to_real, where
 from twodof.blocks.library import CaseChoice, Constant, Convert, FirstTrue, Merge
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array
 from twodof.slx.model import System
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain

@@ -16,7 +16,7 @@ from twodof.blocks.declarations import Port
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.library import BusAssign, BusCreate, BusSelect
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.model import collapsed
 from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, plain

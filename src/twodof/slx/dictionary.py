@@ -14,7 +14,8 @@ import numpy as np
 
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
-from twodof.slx.matlab.evaluation import evaluate, script_text
+from twodof.slx.matlab.evaluation import script_text
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import FUNCTIONS, KINDS, Members, Value, as_array
 from twodof.slx.package import REMEDY, Element, Package
 

@@ -31,7 +31,7 @@ from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
-from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.model import (

@@ -13,8 +13,8 @@ from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
 from twodof.errors import DiagramError
 from twodof.slx.data_types import field_name
-from twodof.slx.matlab.evaluation import evaluate
 from twodof.slx.matlab.function_block import last_index
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, SimulinkChart, System, below, collapsed, port_number
 from twodof.slx.translation import Signal

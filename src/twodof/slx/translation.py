@@ -17,7 +17,7 @@ from twodof.blocks.expressions.conversions import may_overflow
 from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, INTEGERS
 from twodof.blocks.library import Convert, Demux, Gain, MatrixGain, Mux, ZeroOrderHold
 from twodof.errors import DiagramError
-from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import Value, number
 from twodof.slx.model import SimulinkBlock, collapsed
 

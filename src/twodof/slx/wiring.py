@@ -11,7 +11,7 @@ from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import Constant, DataStore, Logic, Merge, StoreRead, ZeroOrderHold
 from twodof.slx.conditions import Activation, ControlEdge
 from twodof.slx.connections import PASSING, Connections, Output, store_name
-from twodof.slx.matlab.evaluation import evaluate
+from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number
 from twodof.slx.translation import Made, NotTranslated, Signal, expanded, names_of, plain

@@ -13,9 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twodof.errors import DiagramError
 from twodof.flightlog import fence
-from twodof.slx.matlab.parser import Tree, expression_of
 from twodof.slx.matlab.signals import OPERATORS as SIGNAL_OPERATORS
 from twodof.slx.matlab.signals import SIGNAL_FUNCTIONS, of_signals
 from twodof.slx.matlab.values import (
@@ -27,14 +25,10 @@ from twodof.slx.matlab.values import (
     Value,
     as_array,
     bounded,
-    indexed,
-    is_empty,
     is_signal,
-    joined,
     lowered,
     number,
     numeric,
-    scalar,
 )
 
 MOST_STEPS = 50_000
@@ -42,18 +36,6 @@ PRODUCTS_A_STEP = 50_000
 """Rows by columns by the fewer of both that a matrix may have to count as one operation: inv(m) takes about as many."""
 MOST_ON_SIGNALS = 200_000
 """Most operations on elements of signals: each becomes one of the program."""
-
-
-def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression") -> Value:
-    """Return the value of an expression. Raises DiagramError, with the name that is missing or what is not computed."""
-    try:
-        tree, excess = expression_of(text)
-        value = Evaluator(Evaluation(dict(workspace))).value(tree)
-        if excess:
-            raise NotComputed(f"'{excess}' is not expected")
-    except NotComputed as reason:
-        raise DiagramError(f"{text.strip()[:80]}: {reason}", where, "give a constant or a --workspace file") from None
-    return value
 
 
 def script_text(data: bytes, where: str) -> fence.Answer:
@@ -99,6 +81,36 @@ class Evaluation:
         if self.on_signals > MOST_ON_SIGNALS:
             raise NotComputed(f"takes more than {MOST_ON_SIGNALS} operations on elements of signals")
 
+    def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
+        """Return what a function of MATLAB's gives: for a `count` above 1 a list."""
+        self.count(*arguments, steps=0)
+        signals = count > 1 or any(map(is_signal, arguments)) or name not in FUNCTIONS
+        if signals:
+            self.count_signals(_operations("*" if name == "mtimes" else name, arguments))
+        if name not in (*FUNCTIONS, *SIGNAL_FUNCTIONS):
+            raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
+        try:
+            with np.errstate(all="ignore"):
+                value = lowered(of_signals(name, arguments, count)) if signals else FUNCTIONS[name](*arguments)
+        except (TypeError, ValueError, IndexError, np.linalg.LinAlgError, OverflowError, MemoryError) as reason:
+            raise NotComputed(f"{name}: {reason}") from None
+        return bounded(value)
+
+    def apply(self, operator: str, left: Value, right: Value) -> Value:
+        """Compute an operation of two values."""
+        left, right = number(left), number(right)
+        self.count(left, right)
+        if isinstance(left, dict | list) or isinstance(right, dict | list):
+            raise NotComputed(f"'{operator}' of a structure or a cell")
+        a, b = as_array(left), as_array(right)
+        if is_signal(a) or is_signal(b):
+            self.count_signals(_operations(operator, (a, b)))
+        try:
+            with np.errstate(all="ignore"):
+                return bounded((SIGNAL_OPERATORS if is_signal(a) or is_signal(b) else OPERATORS)[operator](a, b))
+        except (ValueError, TypeError, np.linalg.LinAlgError) as reason:
+            raise NotComputed(f"'{operator}': {reason}") from None
+
 
 def _operations(name: str, values: Sequence[Value]) -> float:
     """Return how many operations on elements an operator or a function of these values takes, about."""
@@ -113,159 +125,7 @@ def _operations(name: str, values: Sequence[Value]) -> float:
     return sizes[0] * b.shape[1] if name == "*" else sum(sizes)
 
 
-class Evaluator:
-    """The run of trees, which reads and changes the names of an evaluation."""
-
-    def __init__(self, evaluation: Evaluation) -> None:
-        self.evaluation = evaluation
-        self.persistent: list[str] = []
-
-    def value(self, tree: Tree) -> Value:
-        """Return the value of an expression."""
-        match tree.kind:
-            case "access":
-                return self._access(tree.parts[0], tree.parts[1:])
-            case "literal":
-                return tree.value
-            case "name":
-                return self._named(tree.text)
-            case "chain":
-                return self._chain(tree)
-            case "signs":
-                value = self.value(tree.parts[0])
-                for sign in reversed(tree.text):
-                    value = as_array(value) if sign == "+" else _signed(sign, as_array(value))
-                return value
-            case "range":
-                return _range(*map(self.value, tree.parts))
-            case "rows":
-                return self._rows(tree)
-            case "handle":
-                return self.handle(tree)
-        raise NotComputed(tree.text)
-
-    def handle(self, tree: Tree) -> Value:
-        """Return the function of a handle, which only programs have."""
-        raise NotComputed("'@' is not computed")
-
-    def _chain(self, tree: Tree) -> Value:
-        """Compute operations from left to right; what && or || decide before is not computed."""
-        left = self.value(tree.parts[0])
-        for step in tree.parts[1:]:
-            if not step.parts:
-                left = left if isinstance(left, list) else as_array(left).T
-                continue
-            short = step.kind in ("&&", "||") and not (step.text or is_signal(left))
-            if short and bool(as_array(left).all()) == (step.kind == "||"):
-                left = np.array([[step.kind == "||"]])
-            else:
-                left = self.apply(step.kind, left, self.right_of(step, left))
-        return left
-
-    def right_of(self, step: Tree, left: Value) -> Value:
-        """Compute the value to the right of an operator."""
-        return self.value(step.parts[0])
-
-    def _access(self, base: Tree, steps: Sequence[Tree]) -> Value:
-        """Return a value with its indices and fields, or what a function gives that has no value of this name."""
-        self.evaluation.count()
-        name, names = base.text, self.evaluation.names
-        if base.kind == "name" and name not in names and not (name == "end" and self.evaluation.ends):
-            while steps and steps[0].kind == ".":
-                name, steps = f"{name}.{steps[0].text}", steps[1:]
-            called = bool(steps) and steps[0].kind == "("
-            value, steps = self.function(name, steps[0].parts if called else None), steps[called:]
-        else:
-            value = self.value(base)
-        for step in steps:
-            value = self._step(value, step)
-        return value
-
-    def _step(self, value: Value, step: Tree) -> Value:
-        """Return an element or a field of a value."""
-        if step.kind == "(":
-            given = self.arguments(step.parts, value)
-            return value(self, given) if callable(value) else indexed(value, given)
-        if step.kind == "{":
-            index = int(scalar(self.value(step.parts[0])))
-            if not isinstance(value, list) or not 1 <= index <= len(value):
-                raise NotComputed(f"no cell {index}")
-            return value[index - 1]
-        if isinstance(value, dict) and step.text not in value:
-            value = number(value)  # a field of what a parameter holds
-        if not isinstance(value, dict) or step.text not in value:
-            raise NotComputed(f"there is no field {step.text}")
-        return value[step.text]
-
-    def _named(self, name: str) -> Value:
-        if name == "end" and self.evaluation.ends:
-            array, index, count = self.evaluation.ends[-1]
-            size = array.size if count == 1 else array.shape[index] if index < 2 else 1
-            return np.array([[float(size)]])
-        value = self.evaluation.names[name]
-        if name in self.persistent and is_empty(value):
-            raise NotComputed(f"{name} is read before it has a value")
-        return value
-
-    def _rows(self, tree: Tree) -> Value:
-        """Compute a matrix, or a cell array."""
-        rows = [[self.value(one) for one in row.parts] for row in tree.parts]
-        if tree.text == "{":
-            return [value for row in rows for value in row]
-        sizes = [one.size for row in rows for one in row if isinstance(one, np.ndarray)]
-        if any(map(is_signal, (one for row in rows for one in row))):
-            self.evaluation.count_signals(sum(sizes))
-        if sum(sizes) > MOST_ELEMENTS:
-            raise NotComputed(f"an array has more than {MOST_ELEMENTS} elements")
-        return joined([row for row in rows if row])
-
-    def arguments(self, parts: Sequence[Tree], indexed: Value = None) -> list[Value]:
-        """Return arguments, or indices of a value, in which `end` has a meaning."""
-        found: list[Value] = []
-        for one in parts:
-            if isinstance(indexed, np.ndarray | str):
-                self.evaluation.ends.append((as_array(indexed), len(found), len(parts)))
-            found.append(self.value(one))
-            if isinstance(indexed, np.ndarray | str):
-                self.evaluation.ends.pop()
-        return found
-
-    def function(self, name: str, arguments: Sequence[Tree] | None) -> Value:
-        """Call a function, or return a constant."""
-        return self.called(name, self.arguments(arguments or ()), arguments is not None)
-
-    def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
-        """Return what a function gives: for a `count` above 1 a list."""
-        self.evaluation.count(*arguments, steps=0)
-        signals = count > 1 or any(map(is_signal, arguments)) or name not in FUNCTIONS
-        if signals:
-            self.evaluation.count_signals(_operations("*" if name == "mtimes" else name, arguments))
-        if name not in (*FUNCTIONS, *SIGNAL_FUNCTIONS):
-            raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
-        try:
-            with np.errstate(all="ignore"):
-                value = lowered(of_signals(name, arguments, count)) if signals else FUNCTIONS[name](*arguments)
-        except (TypeError, ValueError, IndexError, np.linalg.LinAlgError, OverflowError, MemoryError) as reason:
-            raise NotComputed(f"{name}: {reason}") from None
-        return bounded(value)
-
-    def apply(self, operator: str, left: Value, right: Value) -> Value:
-        """Compute an operation of two values."""
-        left, right = number(left), number(right)
-        self.evaluation.count(left, right)
-        if isinstance(left, dict | list) or isinstance(right, dict | list):
-            raise NotComputed(f"'{operator}' of a structure or a cell")
-        a, b = as_array(left), as_array(right)
-        if is_signal(a) or is_signal(b):
-            self.evaluation.count_signals(_operations(operator, (a, b)))
-        try:
-            with np.errstate(all="ignore"):
-                return bounded((SIGNAL_OPERATORS if is_signal(a) or is_signal(b) else OPERATORS)[operator](a, b))
-        except (ValueError, TypeError, np.linalg.LinAlgError) as reason:
-            raise NotComputed(f"'{operator}': {reason}") from None
-
-
-def _signed(sign: str, array: Array) -> Array:
+def signed(sign: str, array: Array) -> Array:
     """Return -array, or where it is not true."""
     if is_signal(array):
         return SIGNAL_OPERATORS["negative" if sign == "-" else "~"](array)
@@ -274,7 +134,7 @@ def _signed(sign: str, array: Array) -> Array:
     return ~array.astype(bool)
 
 
-def _range(first: Value, *others: Value) -> Array:
+def range_of(first: Value, *others: Value) -> Array:
     """Return `first:last` or `first:step:last`."""
     bounds = [first, np.ones((1, 1)), *others] if len(others) == 1 else [first, *others]
     if any(map(is_signal, bounds)):

@@ -1,6 +1,7 @@
 """Functions of signals in MATLAB's language: of MATLAB itself, and of its toolboxes on rotations and quaternions.
 
-Sums are from the left. `refused` says why a function is not translated. A factor by Cholesky is NaN where the matrix is
+Sums are from the left, and systems are solved by elimination with partial pivoting. `refused` says why a function is
+not translated. A factor by Cholesky is NaN where the matrix is
 not positive definite, for which MATLAB stops. Sorting is by merging exchanges (Knuth, vol. 3, 5.2.2, algorithm M).
 
 A quaternion is a row [w x y z], and a product of two is Hamilton's. Angles turn about the axes of a sequence, each
@@ -25,13 +26,13 @@ LIBRARY = {
     "norm": """
     function n = norm(v, kind)
     if nargin < 2, kind = 2; elseif strcmp(kind, 'fro'), kind = 2; v = v(:); end
-    if min(size(v)) > 1 || (kind ~= 1 && kind ~= 2), refused('this norm of signals is not translated'); end
+    if min(size(v)) > 1 || (kind ~= 1 && kind ~= 2), refused('this norm of', v, 'signals is not translated'); end
     v = v(:);
     if kind == 1, n = sum(abs(v)); elseif numel(v) == 1, n = abs(v); else, n = sqrt(sum(v .* v)); end""",
     "chol": """
     function f = chol(a, half)
     n = size(a, 1); f = zeros(n);
-    if n ~= size(a, 2) || n > 6, refused('the factor of so many signals, or of no square, is not translated'); end
+    if n ~= size(a, 2) || n > 6, refused('the factor of', a, 'signals is not translated'); end
     for k = 1:n, for m = k:n
       left = a(k, m);
       for i = 1:k - 1, left = left - f(k, i) * f(m, i); end
@@ -40,7 +41,7 @@ LIBRARY = {
     if nargin < 2 || ~strcmp(half, 'lower'), f = f'; end""",
     "det": """
     function d = det(a)
-    if any(size(a) ~= size(a, 1)) || numel(a) > 9, refused('the determinant of so many signals is not translated'); end
+    if any(size(a) ~= size(a, 1)) || numel(a) > 9, refused('the determinant of', a, 'signals is not translated'); end
     if numel(a) == 1
       d = a;
     elseif numel(a) == 4
@@ -50,6 +51,35 @@ LIBRARY = {
     end
     function d = minor(a, i, j)
     d = a(2, i) * a(3, j) + (0 - a(2, j) * a(3, i));""",
+    "mldivide": """
+    function x = mldivide(a, b)
+    n = size(a, 1); r = double([a, b]);
+    if size(a, 2) ~= n || n > 6, refused('a system of', a, 'with signals is not solved'); end
+    for k = 1:n
+      for m = k + 1:n
+        if abs(r(m, k)) > abs(r(k, k)), r([k, m], :) = r([m, k], :); end
+      end
+      for m = k + 1:n, r(m, :) = r(m, :) - r(m, k) / r(k, k) * r(k, :); end
+    end
+    x = r(:, n + 1:end);
+    for k = n:-1:1
+      for m = k + 1:n, x(k, :) = x(k, :) - r(k, m) * x(m, :); end
+      x(k, :) = x(k, :) / r(k, k);
+    end""",
+    "interp1": """
+    function y = interp1(x, v, at)
+    if numel(x) ~= numel(v) || numel(x) < 2 || any(x(2:end) <= x(1:end - 1))
+      refused('interp1 is translated for constant places that increase');
+    end
+    y = at;
+    for i = 1:numel(at)
+      u = at(i); y(i) = NaN;
+      for k = numel(x) - 1:-1:1
+        if (u >= x(k)) & (u <= x(k + 1)), y(i) = v(k) + (v(k + 1) - v(k)) / (x(k + 1) - x(k)) * (u - x(k)); end
+      end
+    end""",
+    "inv": "function x = inv(a)\nx = a \\ eye(size(a, 1));",
+    "linsolve": "function x = linsolve(a, b)\nx = a \\ b;",
     "sort": """
     function v = sort(v)
     if min(size(v)) > 1, refused('a matrix with signals is not sorted'); end

@@ -18,12 +18,13 @@ from twodof.blocks.expressions.expr import where
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
-from twodof.slx.matlab.evaluation import Evaluation, Evaluator, script_text
+from twodof.slx.matlab.evaluation import Evaluation, range_of, script_text, signed
 from twodof.slx.matlab.library import LIBRARY
-from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, Parser, Tree, tokens_of
+from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, Parser, Tree, expression_of, tokens_of
 from twodof.slx.matlab.signals import truth
 from twodof.slx.matlab.values import (
     FUNCTIONS,
+    MOST_ELEMENTS,
     Array,
     NotComputed,
     Value,
@@ -31,9 +32,13 @@ from twodof.slx.matlab.values import (
     class_of,
     converted,
     filled,
+    indexed,
     is_empty,
     is_signal,
+    joined,
     lifted,
+    number,
+    scalar,
     stored,
 )
 
@@ -110,15 +115,15 @@ def of_library(name: str) -> Code | None:
     return Code(LIBRARY[name]) if name in LIBRARY else None
 
 
-class Program(Evaluator):
+class Program:
     """The run of one function of a program, in `names`, which it changes.
 
     The value of the persistent variable x of the function f is kept in the name `f.x`.
     """
 
     def __init__(self, code: Code, function: FunctionDefinition, evaluation: Evaluation, depth: int = 0) -> None:
-        super().__init__(evaluation)
-        self.code, self.function_run, self.calls = code, function, depth
+        self.code, self.function_run, self.evaluation, self.calls = code, function, evaluation, depth
+        self.persistent: list[str] = []
         own = {*function.arguments, *function.results} if function is not code.main else set[str]()
         self.kinds = {name: kind for name, kind in code.declared.items() if "." not in name and name not in own}
         self.kinds |= {name: code.declared[one] for name in own if (one := f"{function.name}.{name}") in code.declared}
@@ -289,7 +294,7 @@ class Program(Evaluator):
             if isinstance(value, str) or isinstance(one, str):
                 same: Any = isinstance(value, str) and isinstance(one, str) and value == one
             else:
-                same = truth(self.apply("==", value, one))
+                same = truth(self._apply("==", value, one))
             if same is True:
                 return True
             found = same if found is False else found if same is False else found | same
@@ -345,10 +350,123 @@ class Program(Evaluator):
         elif left is not True:
             self.either(left, lambda: None, partial(self._while, condition, body, turns))
 
-    def right_of(self, step: Tree, left: Value) -> Value:
+    # --- expressions
+
+    def value(self, tree: Tree) -> Value:
+        """Return the value of an expression."""
+        match tree.kind:
+            case "access":
+                return self._access(tree.parts[0], tree.parts[1:])
+            case "literal":
+                return tree.value
+            case "name":
+                return self._named(tree.text)
+            case "chain":
+                return self._chain(tree)
+            case "signs":
+                value = self.value(tree.parts[0])
+                for sign in reversed(tree.text):
+                    value = as_array(value) if sign == "+" else signed(sign, as_array(value))
+                return value
+            case "range":
+                return range_of(*map(self.value, tree.parts))
+            case "rows":
+                return self._rows(tree)
+            case "handle":
+                return self._handle(tree)
+        raise NotComputed(tree.text)
+
+    def _chain(self, tree: Tree) -> Value:
+        """Compute operations from left to right; what && or || decide before is not computed."""
+        left = self.value(tree.parts[0])
+        for step in tree.parts[1:]:
+            if not step.parts:
+                left = left if isinstance(left, list) else as_array(left).T
+                continue
+            short = step.kind in ("&&", "||") and not (step.text or is_signal(left))
+            if short and bool(as_array(left).all()) == (step.kind == "||"):
+                left = np.array([[step.kind == "||"]])
+            else:
+                left = self._apply(step.kind, left, self._right_of(step, left))
+        return left
+
+    def _access(self, base: Tree, steps: Sequence[Tree]) -> Value:
+        """Return a value with its indices and fields, or what a function gives that has no value of this name."""
+        self.evaluation.count()
+        name, names = base.text, self.evaluation.names
+        if base.kind == "name" and name not in names and not (name == "end" and self.evaluation.ends):
+            while steps and steps[0].kind == ".":
+                name, steps = f"{name}.{steps[0].text}", steps[1:]
+            called = bool(steps) and steps[0].kind == "("
+            value, steps = self._function(name, steps[0].parts if called else None), steps[called:]
+        else:
+            value = self.value(base)
+        for step in steps:
+            value = self._step(value, step)
+        return value
+
+    def _step(self, value: Value, step: Tree) -> Value:
+        """Return an element or a field of a value."""
+        if step.kind == "(":
+            given = self.arguments(step.parts, value)
+            return value(self, given) if callable(value) else indexed(value, given)
+        if step.kind == "{":
+            index = int(scalar(self.value(step.parts[0])))
+            if not isinstance(value, list) or not 1 <= index <= len(value):
+                raise NotComputed(f"no cell {index}")
+            return value[index - 1]
+        if isinstance(value, dict) and step.text not in value:
+            value = number(value)  # a field of what a parameter holds
+        if not isinstance(value, dict) or step.text not in value:
+            raise NotComputed(f"there is no field {step.text}")
+        return value[step.text]
+
+    def _named(self, name: str) -> Value:
+        if name == "end" and self.evaluation.ends:
+            array, index, count = self.evaluation.ends[-1]
+            size = array.size if count == 1 else array.shape[index] if index < 2 else 1
+            return np.array([[float(size)]])
+        value = self.evaluation.names[name]
+        if name in self.persistent and is_empty(value):
+            raise NotComputed(f"{name} is read before it has a value")
+        return value
+
+    def _rows(self, tree: Tree) -> Value:
+        """Compute a matrix, or a cell array."""
+        rows = [[self.value(one) for one in row.parts] for row in tree.parts]
+        if tree.text == "{":
+            return [value for row in rows for value in row]
+        sizes = [one.size for row in rows for one in row if isinstance(one, np.ndarray)]
+        if any(map(is_signal, (one for row in rows for one in row))):
+            self.evaluation.count_signals(sum(sizes))
+        if sum(sizes) > MOST_ELEMENTS:
+            raise NotComputed(f"an array has more than {MOST_ELEMENTS} elements")
+        return joined([row for row in rows if row])
+
+    def arguments(self, parts: Sequence[Tree], indexed: Value = None) -> list[Value]:
+        """Return arguments, or indices of a value, in which `end` has a meaning."""
+        found: list[Value] = []
+        for one in parts:
+            if isinstance(indexed, np.ndarray | str):
+                self.evaluation.ends.append((as_array(indexed), len(found), len(parts)))
+            found.append(self.value(one))
+            if isinstance(indexed, np.ndarray | str):
+                self.evaluation.ends.pop()
+        return found
+
+    def _apply(self, operator: str, left: Value, right: Value) -> Value:
+        """Compute an operation of two values; the library solves a system with signals."""
+        matrix = {"\\": left, "/": right}.get(operator)
+        if not isinstance(matrix, np.ndarray) or matrix.size == 1 or not (is_signal(left) or is_signal(right)):
+            return self.evaluation.apply(operator, left, right)
+        turned = (left, right) if operator == "\\" else (matrix.T, as_array(left).T)
+        found = as_array(self.called("mldivide", [*turned], True))
+        return found if operator == "\\" else found.T
+
+    def _right_of(self, step: Tree, left: Value) -> Value:
         """Compute the right of an operator; what it changes holds only where && or || come to it."""
         if step.kind not in ("&&", "||") or not is_signal(left):
-            return super().right_of(step, left)
+            return self.value(step.parts[0])
         found: list[Value] = []
 
         def compute() -> None:
@@ -358,7 +476,7 @@ class Program(Evaluator):
         self.either(truth(left), *branches)
         return found[0]
 
-    def handle(self, tree: Tree) -> Callable[..., Value]:
+    def _handle(self, tree: Tree) -> Callable[..., Value]:
         """Return the function of `@name`, or of `@(a, b) expression` with the names as they are now."""
         names = {one: value for one, value in self.evaluation.names.items() if one.isidentifier()}
         arguments = [one.text for one in tree.parts[1:]]
@@ -381,12 +499,12 @@ class Program(Evaluator):
 
         return called
 
-    def function(self, name: str, arguments: Sequence[Tree] | None) -> Value:
-        """Call a function; `isempty` looks at a persistent variable without reading it."""
+    def _function(self, name: str, arguments: Sequence[Tree] | None) -> Value:
+        """Call a function, or return a constant; `isempty` looks at a persistent variable without reading it."""
         asked = arguments[0].parts if name == "isempty" and arguments else ()
         if len(asked) == 1 and asked[0].kind == "name" and asked[0].text in self.persistent:
             return np.array([[asked[0].text in self._empty()]])
-        return super().function(name, arguments)
+        return self.called(name, self.arguments(arguments or ()), arguments is not None)
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Call a function of the program, or one of MATLAB's."""
@@ -405,11 +523,12 @@ class Program(Evaluator):
             if found_file is not None:
                 code, function = found_file, found_file.main
         if function is None:
-            if name == "refused" and arguments:
-                raise NotComputed(arguments[0])
+            if name == "refused":
+                texts = (one if isinstance(one, str) else f"{one.shape[0]} by {one.shape[1]}" for one in arguments)
+                raise NotComputed(" ".join(texts))
             if name == "size" and count == 2:
                 count = 1
-            return super().called(name, arguments, bracket, count)
+            return self.evaluation.called(name, arguments, bracket, count)
         if len(arguments) > len(function.arguments):
             raise NotComputed(f"{name} takes {len(function.arguments)} arguments")
         shared = (code.shared or set()) - {*function.arguments, *function.results}
@@ -417,11 +536,27 @@ class Program(Evaluator):
         try:
             found = call(code, function, arguments, self.evaluation, self.calls + 1)
         except NotTranslatedLine as reason:
-            raise reason if code is self.code else NotComputed(f"{name}.m, {reason}") from None
+            said = str(reason).partition(": ")[2] if code is of_library(name) else f"{name}.m, {reason}"
+            raise reason if code is self.code else NotComputed(said) from None
         self.evaluation.names.update({one: found[one] for one in shared & found.keys()})
         if count > 1:
             return [found.get(one) for one in function.results]
         return found.get(function.results[0]) if function.results else None
+
+
+def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression") -> Value:
+    """Return the value of an expression. Raises DiagramError, with the name that is missing or what is not computed."""
+    try:
+        tree, excess = expression_of(text)
+        nothing = Code("", script=True)
+        value = Program(nothing, nothing.main, Evaluation(dict(workspace))).value(tree)
+        if callable(value):
+            raise NotComputed("'@' is not computed")
+        if excess:
+            raise NotComputed(f"'{excess}' is not expected")
+    except NotComputed as reason:
+        raise DiagramError(f"{text.strip()[:80]}: {reason}", where, "give a constant or a --workspace file") from None
+    return value
 
 
 def call(

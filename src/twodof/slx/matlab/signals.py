@@ -36,8 +36,6 @@ from twodof.slx.matlab.values import (
 )
 
 Elementwise = Callable[..., Any]
-LARGEST_SYSTEM = 6
-"""Unknowns of a linear system that is solved for signals."""
 
 
 def _double(element: Any) -> Any:
@@ -133,31 +131,6 @@ def _product(a: Array, b: Array) -> Array:
     )
 
 
-def _solved(a: Array, b: Array) -> Array:
-    """Return the solution x of a x = b by Gaussian elimination with partial pivoting."""
-    if a.size == 1:
-        return _each(_divide)(b, a)
-    size = a.shape[0]
-    if a.shape[1] != size or size > LARGEST_SYSTEM or b.shape[0] != size:
-        raise NotComputed(f"a system of {a.shape[0]} by {a.shape[1]} with signals is not solved")
-    rows = [[cast(one, "real") for one in row] for row in np.hstack([lifted(a), lifted(b)])]
-    for k in range(size):
-        for n in range(k + 1, size):
-            larger = _greater(_absolute(rows[n][k]), _absolute(rows[k][k]))
-            swapped = [(where(larger, y, x), where(larger, x, y)) for x, y in zip(rows[k], rows[n], strict=True)]
-            rows[k], rows[n] = map(list, zip(*swapped, strict=True))
-        for n in range(k + 1, size):
-            factor = _divide(rows[n][k], rows[k][k])
-            rows[n] = [_subtract(y, _times(factor, x)) for x, y in zip(rows[k], rows[n], strict=True)]
-    solution: list[list[Any]] = [[] for _ in range(size)]
-    for k in reversed(range(size)):
-        right = rows[k][size:]
-        for n in range(k + 1, size):
-            right = [_subtract(y, _times(rows[k][n], x)) for x, y in zip(solution[n], right, strict=True)]
-        solution[k] = [_divide(y, rows[k][k]) for y in right]
-    return filled((size, b.shape[1]), (row[j] for j in range(b.shape[1]) for row in solution))
-
-
 def _matrix_power(a: Array, b: Array) -> Array:
     if a.size == b.size == 1:
         return _each(_arithmetic(_power))(a, b)
@@ -181,7 +154,7 @@ def _both(compute: Elementwise) -> Callable[[Array, Array], Array]:
 OPERATORS: dict[str, Callable[..., Array]] = {
     "+": _each(_add), "-": _each(_subtract), ".*": _each(_times), "./": _each(_divide),
     ".\\": _each(lambda a, b: _divide(b, a)), "*": _product, ".^": _each(_arithmetic(_power)), "^": _matrix_power,
-    "/": lambda a, b: _each(_divide)(a, b) if b.size == 1 else _solved(b.T, a.T).T, "\\": _solved,
+    "/": _each(_divide), "\\": _each(lambda a, b: _divide(b, a)),
     "<": _each(_less), ">": _each(_greater), "<=": _each(_comparison(operator.le)),
     ">=": _each(_comparison(operator.ge)), "==": _each(_comparison(operator.eq)),
     "~=": _each(_comparison(operator.ne)), "!=": _each(_comparison(operator.ne)), "&": _each(_logical(and_)),
@@ -408,23 +381,6 @@ def _typecast(value: Value, kind: Value) -> Array:
     return filled((1, len(made)) if array.shape[0] == 1 else (len(made), 1), made)
 
 
-def _interpolated(places: Value, values: Value, at: Value) -> Array:
-    """Return the linear interpolation between constant places; NaN outside."""
-    x, y = as_array(places).flatten(order="F"), lifted(as_array(values)).flatten(order="F")
-    if is_signal(as_array(places)) or len(x) != len(y) or len(x) < 2 or (np.diff(x) <= 0).any():
-        raise NotComputed("interp1 is translated for constant places that increase")
-
-    def one(u: Any) -> Any:
-        found: Any = math.nan
-        for k in reversed(range(len(x) - 1)):
-            slope = _divide(_subtract(y[k + 1], y[k]), float(x[k + 1] - x[k]))
-            line = _add(y[k], _times(slope, _subtract(u, float(x[k]))))
-            found = where((u >= float(x[k])) & (u <= float(x[k + 1])), line, found)
-        return found
-
-    return _each(_float(one))(at)
-
-
 _SHAPES = ("reshape", "transpose", "numel", "size", "length", "repmat", "diag", "isempty", "fliplr", "flipud",
            "horzcat", "vertcat", "isreal", "isscalar", "isvector", "isrow", "iscolumn", "isnumeric", "ischar",
            "isstruct", "circshift", "tril", "triu")  # fmt: skip
@@ -446,14 +402,13 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
        (("Pi", math.pi, True), ("2Pi", math.pi, False), ("180", 180.0, True), ("360", 180.0, False))},
     "deg2rad": _each(_float(lambda x: x * (math.pi / 180.0))), "max": _extreme(True), "min": _extreme(False),
     "rad2deg": _each(_float(lambda x: x * (180.0 / math.pi))), "sum": _reduced(_add, _number),
-    "prod": _reduced(_times, _number), "realsqrt": _each(_float(sqrt)), "linsolve": _solved,
-    "inv": lambda a: _solved(a, np.eye(len(a))),
+    "prod": _reduced(_times, _number), "realsqrt": _each(_float(sqrt)),
     "any": _reduced(or_, lambda one: cast(one, "bool")), "all": _reduced(and_, lambda one: cast(one, "bool")),
     "mod": _each(_arithmetic(mod)), "rem": _each(_arithmetic(rem)), "isnan": _each(_is_nan),
     "isinf": _each(_float(lambda x: abs(x) == math.inf)), "isfinite": _each(_float(lambda x: abs(x) < math.inf)),
     "and": OPERATORS["&"], "or": OPERATORS["|"], "not": OPERATORS["~"], "mtimes": _product, "bitshift": _each(_shift),
     "times": OPERATORS[".*"], "power": OPERATORS[".^"], "plus": OPERATORS["+"], "minus": OPERATORS["-"],
-    "rdivide": OPERATORS["./"], "xor": _each(_logical(operator.ne)), "interp1": _interpolated,
+    "rdivide": OPERATORS["./"], "xor": _each(_logical(operator.ne)),
     "bitand": _each(_bits(and_)), "bitor": _each(_bits(or_)), "bitxor": _each(_bits(operator.xor)),
     "bitset": _with_bit, "typecast": _typecast,
     "bitget": lambda a, k: _each(lambda one: convert(convert(one, "uint32") >> int(scalar(k)) - 1 & 1, kind_of(one)))(

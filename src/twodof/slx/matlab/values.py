@@ -169,22 +169,15 @@ def indexed(value: Value, index: list[Value]) -> Value:
             return value[place]
     if isinstance(value, dict | list) or len(index) > 2:
         raise NotComputed("an array of structures or cells, or of three dimensions, is not computed")
+    if not index:
+        return value
     array = as_array(value)
-    if any(map(is_signal, index)):
-        return _selected(array, index)
-    try:
-        if not index:
-            return value
-        if len(index) == 1:
-            places = _places(index[0], array.size)
-            found = array.flatten(order="F")[places]
-            tall = isinstance(index[0], str) or (array.shape[1] == 1 and array.shape[0] != 1)
-            if isinstance(index[0], np.ndarray) and min(index[0].shape) > 1 and index[0].dtype != np.bool_:
-                return found.reshape(index[0].shape, order="F")
-            return found[:, None] if tall else found[None, :]
-        return array[np.ix_(_places(index[0], array.shape[0]), _places(index[1], array.shape[1]))]
-    except IndexError:
-        raise NotComputed(f"an index is beyond an array of {array.shape[0]} by {array.shape[1]}") from None
+    flat, (rows, columns), shape = _grid(array, index)
+    if not any(map(is_signal, index)):
+        return flat[np.ix_(rows, columns)].reshape(shape, order="F")
+    # A place outside is, as in no program, the nearest.
+    elements = vector(list(converted(flat, class_of(flat)).flatten(order="F")))
+    return filled(shape, (elements[c * flat.shape[0] + r] for c in columns for r in rows))
 
 
 def stored(old: Value, steps: list[Any], value: Value) -> Value:
@@ -349,20 +342,14 @@ def _grid(array: Array, index: Sequence[Value]) -> tuple[Array, list[list[Any]],
     ]
     if any(isinstance(one, int) and one >= flat.shape[n] for n, each in enumerate(places) for one in each):
         raise NotComputed(f"an index is beyond an array of {array.shape[0]} by {array.shape[1]}")
-    shape = (len(places[0]), len(places[1]))
-    if len(index) == 1 and 1 in array.shape and array.size > 1:
-        shape = shape if array.shape[1] == 1 else shape[::-1]
-    elif len(index) == 1:
+    count, shape = len(places[0]), (len(places[0]), len(places[1]))
+    if len(index) == 1 and not isinstance(index[0], str):
         shape = as_array(index[0]).shape
+        if class_of(as_array(index[0])) == "bool":
+            shape = (1, count) if shape[0] == 1 else (count, 1)
+        if 1 in array.shape and array.size > 1 and 1 in shape:  # of a vector: as that one lies
+            shape = (count, 1) if array.shape[1] == 1 else (1, count)
     return flat, places, shape
-
-
-def _selected(array: Array, index: Sequence[Value]) -> Array:
-    """Return the elements at indices that are signals; one outside is, as in no program, the nearest."""
-    flat, (rows, columns), shape = _grid(lifted(array), index)
-    height = flat.shape[0]
-    elements = vector(list(converted(flat, class_of(flat)).flatten(order="F")))
-    return filled(shape, (elements[c * height + r] for c in columns for r in rows))
 
 
 def _replaced(array: Array, index: Sequence[Value], new: Array) -> Array:
@@ -560,7 +547,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "det": lambda v: float(np.linalg.det(as_array(v))), "transpose": lambda v: as_array(v).T,
     "blkdiag": lambda *v: _block_diagonal([as_array(one) for one in v]),
     "trace": lambda v: float(np.trace(as_array(v))), "kron": lambda a, b: np.kron(as_array(a), as_array(b)),
-    "cross": lambda a, b: np.cross(as_array(a).flatten(), as_array(b).flatten()).reshape(as_array(a).shape),
+        "cross": lambda a, b: np.cross(as_array(a).flatten(), as_array(b).flatten()).reshape(as_array(a).shape),
     "dot": lambda a, b: float(np.dot(as_array(a).flatten(), as_array(b).flatten())),
     "reshape": lambda v, *s: as_array(v).reshape(
         [int(n) for one in s for n in (as_array(one).flatten() if as_array(one).size else [-1])], order="F"
@@ -578,10 +565,6 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "isstruct": lambda v: isinstance(v, dict),
     "lower": lambda v: str(v).lower(), "upper": lambda v: str(v).upper(),
     "strcmpi": lambda a, b: str(a).lower() == str(b).lower(),
-    "nnz": lambda v: float(np.count_nonzero(as_array(v))), "median": _reduced(np.median),
-    "sort": lambda v: np.sort(as_array(v), axis=int(as_array(v).shape[0] == 1)),
-    "chol": lambda a, half="upper": (np.linalg.cholesky(as_array(a)) if half == "lower"
-                                     else np.linalg.cholesky(as_array(a)).T),
     "find": _found, "tril": lambda v, k=None: np.tril(as_array(v), 0 if k is None else int(scalar(k))),
     "triu": lambda v, k=None: np.triu(as_array(v), 0 if k is None else int(scalar(k))),
     "circshift": lambda v, k: np.roll(as_array(v), int(scalar(k)), axis=int(as_array(v).shape[0] == 1)),
