@@ -14,6 +14,7 @@ from twodof.errors import DiagramError
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.matlab.library import LIBRARY
 from twodof.slx.matlab.parser import assigned_names, names_in
+from twodof.slx.matlab.signals import SIGNAL_FUNCTIONS
 from twodof.slx.matlab.values import FUNCTIONS
 from twodof.slx.model import (
     Model,
@@ -34,9 +35,9 @@ SUFFIXES = (".slx", ".mdl")
 DEEPEST = 40
 _ARGUMENTS = re.compile(r"^\s*function\b[^(\n]*\(([^)]*)\)", re.MULTILINE)
 # What MATLAB has beside the functions that are computed here: none of it is a variable of the user's.
-_MORE = """break case class else elseif end eval for function get_param gcb gcbh gcs global if interp1 isnan otherwise
-persistent poly polyfit rand randn return set_param sort squeeze std switch trapz var while Simulink fixdt i j"""
-_MATLAB = frozenset([*FUNCTIONS, *LIBRARY, *_MORE.split()])
+_MORE = """and break case class else elseif end eval for function get_param gcb gcbh gcs global if mtimes or otherwise
+persistent power return set_param squeeze std switch times trapz polyfit rand randn var while Simulink fixdt i j"""
+_MATLAB = frozenset([*FUNCTIONS, *SIGNAL_FUNCTIONS, *LIBRARY, *_MORE.split()])
 
 # The parameters that hold a value to be computed; all others are choices, texts or looks.
 _VALUES = """

@@ -1,10 +1,10 @@
-"""A subset of MATLAB that computes constants: matrices, structures, indexing, arithmetic, logic, common functions.
+"""Bounds of a run of MATLAB code, and MATLAB's own operators and functions within them.
 
-`evaluate(text, workspace)` gives the value of an expression. Nothing opens a file, calls a program or shows anything,
-and each evaluation ends within bounds: `MOST_STEPS` operations, arrays of at most `MOST_ELEMENTS`.
+Nothing opens a file, calls a program or shows anything, and each run ends: after `MOST_STEPS` operations at most, and
+with arrays of at most `MOST_ELEMENTS`.
 
-Values are numpy arrays of two dimensions (float64, float32, whole numbers, bool), `str` for text, `dict` for a
-structure and `list` for a cell array.
+Values are numpy arrays of two dimensions (float64, float32, whole numbers, bool; objects where they hold signals),
+`str` for text, `dict` for a structure and `list` for a cell array.
 """
 
 import math
@@ -86,7 +86,7 @@ class Evaluation:
         self.count(*arguments, steps=0)
         signals = count > 1 or any(map(is_signal, arguments)) or name not in FUNCTIONS
         if signals:
-            self.count_signals(_operations("*" if name == "mtimes" else name, arguments))
+            self.count_signals(_operations(name, arguments))
         if name not in (*FUNCTIONS, *SIGNAL_FUNCTIONS):
             raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
         try:

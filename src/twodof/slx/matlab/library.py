@@ -78,6 +78,10 @@ LIBRARY = {
         if (u >= x(k)) & (u <= x(k + 1)), y(i) = v(k) + (v(k + 1) - v(k)) / (x(k + 1) - x(k)) * (u - x(k)); end
       end
     end""",
+    "linspace": """
+    function y = linspace(first, last, n)
+    if nargin < 3, n = 100; end
+    y = [first + (0:n - 2) * ((last - first) / (n - 1)), last];""",
     "inv": "function x = inv(a)\nx = a \\ eye(size(a, 1));",
     "linsolve": "function x = linsolve(a, b)\nx = a \\ b;",
     "sort": """

@@ -1,4 +1,6 @@
-"""A MATLAB Function as a program: branches, loops, local functions and persistent variables, on recorded signals.
+"""MATLAB's language carried out: expressions, functions and scripts, on numbers and on recorded signals.
+
+`evaluate(text, workspace)` gives the value of an expression.
 
 Where a condition is a signal both branches are carried out, and each name gets its value of the branch that holds.
 `return`, `break` and `continue` under such a condition become a signal too: what follows them is carried out where it
@@ -46,6 +48,11 @@ DEEPEST_CALLS, MOST_TURNS = 20, 40
 EMPTY = np.zeros((0, 0))
 _LEAVING = {"return": "#return", "break": "#break", "continue": "#continue"}
 """The names that say under which condition the statements after one of these are left out."""
+_NAMED = {
+    "plus": "+", "minus": "-", "times": ".*", "mtimes": "*", "rdivide": "./", "mrdivide": "/", "power": ".^",
+    "mpower": "^", "and": "&", "or": "|", "eq": "==", "ne": "~=", "lt": "<", "le": "<=", "gt": ">", "ge": ">=",
+}  # fmt: skip
+"""Operators by the names of their functions."""
 IN_C = "#in C"
 """A known name that says that a chart's actions are in C."""
 
@@ -526,6 +533,8 @@ class Program:
             if name == "refused":
                 texts = (one if isinstance(one, str) else f"{one.shape[0]} by {one.shape[1]}" for one in arguments)
                 raise NotComputed(" ".join(texts))
+            if name in _NAMED and len(arguments) == 2:
+                return self._apply(_NAMED[name], *arguments)
             if name == "size" and count == 2:
                 count = 1
             return self.evaluation.called(name, arguments, bracket, count)

@@ -406,9 +406,7 @@ SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     "any": _reduced(or_, lambda one: cast(one, "bool")), "all": _reduced(and_, lambda one: cast(one, "bool")),
     "mod": _each(_arithmetic(mod)), "rem": _each(_arithmetic(rem)), "isnan": _each(_is_nan),
     "isinf": _each(_float(lambda x: abs(x) == math.inf)), "isfinite": _each(_float(lambda x: abs(x) < math.inf)),
-    "and": OPERATORS["&"], "or": OPERATORS["|"], "not": OPERATORS["~"], "mtimes": _product, "bitshift": _each(_shift),
-    "times": OPERATORS[".*"], "power": OPERATORS[".^"], "plus": OPERATORS["+"], "minus": OPERATORS["-"],
-    "rdivide": OPERATORS["./"], "xor": _each(_logical(operator.ne)),
+    "not": OPERATORS["~"], "bitshift": _each(_shift), "xor": _each(_logical(operator.ne)),
     "bitand": _each(_bits(and_)), "bitor": _each(_bits(or_)), "bitxor": _each(_bits(operator.xor)),
     "bitset": _with_bit, "typecast": _typecast,
     "bitget": lambda a, k: _each(lambda one: convert(convert(one, "uint32") >> int(scalar(k)) - 1 & 1, kind_of(one)))(

@@ -442,13 +442,6 @@ def _struct(*pairs: Value) -> dict[str, Value]:
     return dict(zip(pairs[::2], pairs[1::2], strict=True))
 
 
-def _linspace(first: Value, last: Value, count: Value = None) -> Array:
-    steps = 100 if count is None else int(scalar(count))
-    if not 0 < steps <= MOST_ELEMENTS:
-        raise ValueError("too many elements")
-    return np.linspace(scalar(first), scalar(last), steps)[None, :]
-
-
 def _modulo(a: Array, b: Array) -> Array:
     return np.where(b == 0, a, np.where(_whole(a, b), 0.0, np.mod(a, b)))
 
@@ -528,14 +521,13 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "NaN": _constant(math.nan), "eps": _constant(float(np.finfo(float).eps)), "zeros": _filled(0.0),
     "ones": _filled(1.0), "true": lambda *s: _filled(1.0)(*s).astype(bool), "eye": _eye,
     "false": lambda *s: _filled(0.0)(*s).astype(bool), "realmax": _constant(float(np.finfo(float).max)),
-    "realmin": _constant(float(np.finfo(float).tiny)), "diag": _diag, "size": _size, "linspace": _linspace,
+    "realmin": _constant(float(np.finfo(float).tiny)), "diag": _diag, "size": _size,
     **{name: _each(getattr(np, name)) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor", "ceil",
        "sign", "hypot", "sinc")},
     "log2": _real(np.log2, 0.0), "log10": _real(np.log10, 0.0),
     "abs": _each(np.abs), "sqrt": _real(np.sqrt, 0.0), "log": _real(np.log, 0.0), "asin": _real(np.arcsin, -1.0, 1.0),
     "acos": _real(np.arccos, -1.0, 1.0), "atan": _each(np.arctan), "atan2": _each(np.arctan2), "fix": _each(np.trunc),
-    "round": _each(_round), "mod": _each(_modulo), "rem": _each(_remainder), "power": _each(_power),
-    "times": _each(np.multiply), "deg2rad": _each(np.deg2rad), "rad2deg": _each(np.rad2deg),
+    "round": _each(_round), "mod": _each(_modulo), "rem": _each(_remainder),
     "max": _extreme(np.maximum, np.max), "min": _extreme(np.minimum, np.min), "sum": _reduced(np.sum),
     "prod": _reduced(np.prod), "mean": _reduced(np.mean), "any": _reduced(np.any), "all": _reduced(np.all),
     "cumsum": lambda v: np.cumsum(as_array(v), axis=1 if as_array(v).shape[0] == 1 else 0),
@@ -546,8 +538,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "inv": lambda v: np.linalg.inv(as_array(v)), "pinv": lambda v: np.linalg.pinv(as_array(v)),
     "det": lambda v: float(np.linalg.det(as_array(v))), "transpose": lambda v: as_array(v).T,
     "blkdiag": lambda *v: _block_diagonal([as_array(one) for one in v]),
-    "trace": lambda v: float(np.trace(as_array(v))), "kron": lambda a, b: np.kron(as_array(a), as_array(b)),
-        "cross": lambda a, b: np.cross(as_array(a).flatten(), as_array(b).flatten()).reshape(as_array(a).shape),
+    "kron": lambda a, b: np.kron(as_array(a), as_array(b)),
     "dot": lambda a, b: float(np.dot(as_array(a).flatten(), as_array(b).flatten())),
     "reshape": lambda v, *s: as_array(v).reshape(
         [int(n) for one in s for n in (as_array(one).flatten() if as_array(one).size else [-1])], order="F"
@@ -572,9 +563,6 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "poly": lambda v: np.poly(as_array(v).flatten())[None, :], "fliplr": lambda v: as_array(v)[:, ::-1],
     "polyval": lambda p, x: np.polyval(as_array(p).flatten(), as_array(x)), "flipud": lambda v: as_array(v)[::-1],
     **{f"is{name}": _each(getattr(np, f"is{name}")) for name in ("nan", "inf", "finite")},
-    "xor": lambda a, b: np.logical_xor(as_array(a), as_array(b)), "not": lambda a: ~as_array(a).astype(bool),
-    "and": lambda a, b: np.logical_and(as_array(a), as_array(b)), "mtimes": lambda a, b: OPERATORS["*"](a, b),
-    "or": lambda a, b: np.logical_or(as_array(a), as_array(b)),
     "strcmp": lambda a, b: bool(isinstance(a, str) and a == b), "sprintf": _formatted,
     "bin2dec": lambda text: float(int(text, 2)),
     "intmax": lambda k="int32": np.array([[np.iinfo(k).max]], k), "cast": lambda v, k: _cast(KINDS[k])(v),
