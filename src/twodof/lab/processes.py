@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -68,6 +69,9 @@ def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> N
         os.setpgid(0, 0)
     else:
         os.setsid()
+        if nice:
+            with suppress(OSError):  # Linux can count niceness within a session only, and that of sessions here
+                Path("/proc/self/autogroup").write_text(str(NICENESS))
     if not background:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))

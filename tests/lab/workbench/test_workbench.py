@@ -24,6 +24,7 @@ from twodof.compile.toolchain import compilers
 from twodof.errors import DiagramError, LogError, Rejected, Timeout, TwodofError
 from twodof.flight.starters import starter
 from twodof.lab import diagram_work
+from twodof.lab.access import CLIENT, LabClient, Role
 from twodof.lab.answers import status_of
 from twodof.lab.processes import Workbench
 
@@ -70,6 +71,20 @@ def test_it_stays_warm_and_says_what_is_wrong() -> None:
         with pytest.raises(DiagramError, match="not a diagram"):
             await bench.do(diagram_work.canonical, "[]", seconds=PATIENCE_S)
         assert await bench.do(_pid, seconds=PATIENCE_S) == first != os.getpid()
+
+    on_a_bench(use)
+
+
+GROUP = Path("/proc/self/autogroup")
+"""Group of a process's session on Linux, with its niceness, "/autogroup-7 nice 0"."""
+
+
+@pytest.mark.skipif(not GROUP.exists(), reason="this kernel does not share the processor among sessions")
+def test_a_watchers_session_is_nice() -> None:
+    async def use(bench: Workbench) -> None:
+        for role, niceness in ((Role.COMMAND, 0), (Role.WATCH, 10)):
+            CLIENT.set(LabClient(role, "test"))
+            assert (await bench.do(GROUP.read_text)).endswith(f"nice {niceness}\n")
 
     on_a_bench(use)
 
