@@ -92,13 +92,14 @@ def built(folder: Path, files: Sequence[str], made: Path, single: bool) -> Gener
     code = GeneratedCode(ctypes.CDLL(str(library)), _structures(seen.stdout.decode(errors="replace")), headers, [])
     for name, places in PLACES.items():
         kind = ctypes.c_float if single else ctypes.c_double
-        call = ctypes.CFUNCTYPE(kind, *[kind] * places)(_ours(name, places, single))
+        call = ctypes.CFUNCTYPE(kind, *[kind] * places)(ours(name, places, single))
         code.functions.append(call)  # it must outlive the library
         ctypes.c_void_p.in_dll(code.library, f"ours_{name}").value = ctypes.cast(call, ctypes.c_void_p).value
     return code
 
 
-def _ours(name: str, places: int, single: bool) -> Any:
+def ours(name: str, places: int, single: bool) -> Any:
+    """Return an elementary function of the block language for numbers of one precision."""
     d, block = Diagram(name), {"atan2": Atan2, "pow": Power}[name]() if places == 2 else Trigonometry(name)
     for port in block.inputs:
         d.input(port.name)

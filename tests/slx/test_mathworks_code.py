@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from bench.computing.simulink_controller import GENERATED, MODEL, STATES, flight_controller
-from tests.slx.generated_c import TYPES, built, drawn, leaves, plain, value
+from tests.slx.generated_c import TYPES, built, drawn, leaves, ours, plain, value
 from twodof.compile import build
 from twodof.compile.machine import CompiledMachine
 from twodof.slx.importer import Imported, import_system
@@ -249,11 +249,20 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 ICUB = "robotology+icub-firmware-models"
 ESTIMATION = "boards/common/models/motion_control/estimation"
 CPP = "emBODY/eBcode/arch-arm/mbd"
+SINES = """
+#include <cmath>
+namespace std { float given_sin(float); float given_cos(float); }
+#define sin given_sin
+#define cos given_cos
+"""
+"""Of the iCub's C++ the sine and cosine are those that the driver reads."""
 READING = """
 #define private public
 #include <cstdio>
 #include <cstring>
 #include "{name}.h"
+static float given[2];
+namespace std {{ float given_sin(float) {{ return given[0]; }} float given_cos(float) {{ return given[1]; }} }}
 int main() {{
   {start}
   float in[{inputs}], out[{outputs}] = {{0}};
@@ -280,6 +289,7 @@ class Filter:
     start: str
     step: str
     commit: str = "b42992119"
+    period: float = 0.001
 
 
 FILTERS = {
@@ -317,6 +327,39 @@ FILTERS = {
              (float) m.status.flags.OverCurrentFailure, (float) s.foc, (float) s.status};
            memcpy(out, now, sizeof now);""", "d8e5c72e7",
     ),
+    "currents": Filter(
+        "control_foc", "boards/common/models/motion_control/control",
+        ("amcbldc/control-foc", "amcbldc/sharedutils"), "8.9", "", 18, 11,
+        "static MdlrefDW_control_foc_T w; control_foc_initialize(&w.rtzce); control_foc_Init(&w.rtdw);",
+        """SensorsData s = {}; FOCSlowInputs f = {}; FOCOutputs o; auto &pid = f.actuator_configuration.pids.currentPID;
+           auto &outer = f.control_outer_outputs; auto &x = w.rtdw.FOCinnerloop;
+           outer.pid_reset = in[0] > 0; outer.cur_en = in[1] > 0; outer.out_en = in[2] > 0;
+           s.driversensors.Vcc = in[3]; memcpy(s.motorsensors.Iabc, in + 4, 12); s.motorsensors.angle = in[7];
+           f.actuator_configuration.motor.Vmax = in[8]; pid.P = in[9]; pid.I = in[10]; pid.D = in[11]; pid.N = in[12];
+           f.targets.voltage = in[13]; outer.motorcurrent = in[14]; outer.current_limiter = in[15];
+           memcpy(given, in + 16, 8); control_foc(&s, &f, &o, &w.rtb, &w.rtdw, &w.rtzce);
+           float now[] = {o.Vq, o.Vabc[0], o.Vabc[1], o.Vabc[2], o.Iq_fbk, o.Id_fbk, x.FilterDifferentiatorTF_states,
+             x.FilterDifferentiatorTF_states_k, x.Integrator_DSTATE, x.Integrator_DSTATE_o, x.UnitDelay_DSTATE};
+           memcpy(out, now, sizeof now);""", "d8e5c72e7", 4.5e-5,
+    ),
+    "cascade": Filter(
+        "control_outer", "boards/common/models/motion_control/control",
+        ("amcbldc/control-outer", "amcbldc/sharedutils"), "8.0", "", 20, 12,
+        """static MdlrefDW_control_outer_T w; control_outer_initialize(&w.rtzce); control_outer_Init(&w.rtdw);
+           control_outer_Enable(&w.rtdw);""",
+        """Flags g = {}; ActuatorConfiguration c = {}; EstimatedData e = {}; SensorsData s = {}; Targets t = {};
+           static ControlOuterOutputs o; g.control_mode = (ControlModes) (int) in[0];
+           g.enable_thermal_protection = in[1] > 0; c.thresholds.jntVelMax = in[2];
+           c.thresholds.motorNominalCurrents = in[3]; c.thresholds.motorPeakCurrents = in[4];
+           memcpy(&c.pids.positionPID.P, in + 5, 16); memcpy(&c.pids.velocityPID.P, in + 9, 16);
+           c.pids.currentPID.I = in[13]; e.velocity = in[14]; e.Iq_filtered = in[15]; s.position = in[16];
+           t.position = in[17]; t.velocity = in[18]; t.current = in[19];
+           control_outer(&g, &c, &e, &s, &t, &o, &w.rtb, &w.rtdw, &w.rtzce); auto &x = w.rtdw;
+           float now[] = {(float) o.vel_en, (float) o.cur_en, (float) o.out_en, (float) o.pid_reset, o.motorcurrent,
+             o.current_limiter, x.FilterDifferentiatorTF_states, x.FilterDifferentiatorTF_states_c, x.Integrator_DSTATE,
+             x.Integrator_DSTATE_i, x.Integrator_DSTATE_b, x.UnitDelay_DSTATE};
+           memcpy(out, now, sizeof now);""", "d8e5c72e7",
+    ),
 }  # fmt: skip
 
 
@@ -335,7 +378,9 @@ def by_cpp(one: Filter, inputs: np.ndarray, made: Path) -> np.ndarray:
             if (at := folder / name).exists()
         ),
     ]
-    command = ["g++", "-O1", "-ffp-contract=off", "-w", *(f"-I{folder}" for folder in folders), *map(str, sources)]
+    (made / "sines.h").write_text(SINES, encoding="utf-8")
+    flags = ["-O1", "-ffp-contract=off", "-w", "-include", str(made / "sines.h")]
+    command = ["g++", *flags, *(f"-I{folder}" for folder in folders), *map(str, sources)]
     subprocess.run([*command, str(made / "driver.cpp"), "-o", str(made / "run")], check=True)
     given = inputs.astype(np.float32).tobytes()
     done = subprocess.run([str(made / "run")], input=given, stdout=subprocess.PIPE, check=True)
@@ -349,9 +394,9 @@ def filter_of(one: Filter, made: Path) -> CompiledMachine:
     assert run(one.script, names) == []
     beside = sorted({path.parent for end in ("sldd", "m") for path in (Path(REPOS) / ICUB).rglob(f"*.{end}")
                      if "legacy" not in str(path)})  # fmt: skip
-    found = import_system(model, "", names, [folder, *beside], 0.001)
+    found = import_system(model, "", names, [folder, *beside], one.period)
     assert found.diagram is not None, found.refused
-    return build(found.diagram, dt=0.001, precision="float32").machine()
+    return build(found.diagram, dt=one.period, precision="float32").machine()
 
 
 def test_a_kalman_filter_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
@@ -393,6 +438,67 @@ def test_a_velocity_has_the_bits_of_mathworks_code_but_for_its_fit(tmp_path: Pat
     assert fitted.any()
     unit = np.spacing(np.abs(wanted).max())  # of the largest: the terms of a fit nearly cancel
     assert np.allclose(found[fitted], wanted[fitted], rtol=0.0, atol=4.0 * unit)
+
+
+def flown(machine: CompiledMachine, inputs: np.ndarray, names: list[str], kept: list[str]) -> np.ndarray:
+    """Return the outputs and the states `kept` after each step; a name of `names` has as many columns as it is wide."""
+    zero = {path: 0 if one.width is None else [0] * one.width for path, one in machine.inputs.items()}
+    rows = []
+    for row in inputs:
+        at, u = 0, dict(zero)
+        for name in names:
+            width, kind = machine.inputs[name].width or 1, machine.inputs[name].kind
+            part = row[at : at + width].tolist()
+            u[name] = (
+                part if width > 1 else bool(part[0]) if kind == "bool" else int(part[0]) if "int" in kind else part[0]
+            )
+            at += width
+        outputs = list(flat(machine.step(u)).values())
+        rows.append(np.concatenate([np.ravel(one) for one in (*outputs, *map(machine.state, kept))]))
+    return np.array(rows, np.float32)
+
+
+def test_a_control_of_currents_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
+    """Clarke's and Park's transforms, and two PIDs that follow a signal or are limited, by trapezoids."""
+    one, draw = FILTERS["currents"], np.random.default_rng(9)
+    inputs = drawn(ctypes.c_float, one.inputs, STEPS, (0, 0), draw)
+    inputs[:, :3] = drawn(ctypes.c_bool, 3, STEPS, (0, 2), draw)
+    inputs[:, [3, 8, 12]] = 30.0 + 5.0 * inputs[:, [3, 8, 12]]
+    inputs[:, 9:12] = np.abs(inputs[:, 9:12])
+    sines = [ours(name, 1, True) for name in ("sin", "cos")]
+    inputs[:, 16:] = [[of(angle) for of in sines] for angle in inputs[:, 7] * np.float32(np.pi / 180.0)]
+    slow, sensors = "FocSlowInputs.", "Sensors."
+    pid, outer = f"{slow}actuator_configuration.pids.currentPID.", f"{slow}control_outer_outputs."
+    names = [f"{outer}pid_reset", f"{outer}cur_en", f"{outer}out_en", f"{sensors}driversensors.Vcc",
+             f"{sensors}motorsensors.Iabc", f"{sensors}motorsensors.angle", f"{slow}actuator_configuration.motor.Vmax",
+             *(f"{pid}{term}" for term in "PIDN"), f"{slow}targets.voltage", f"{outer}motorcurrent",
+             f"{outer}current_limiter"]  # fmt: skip
+    machine, wanted = filter_of(one, tmp_path), by_cpp(one, inputs, tmp_path)
+    kept = [f"I{axis}_PID_control.{part}.x" for part in ("slope", "integral") for axis in "qd"]
+    found = flown(machine, inputs, names, [f"FOC_inner_loop.{one}" for one in (*kept, "Unit_Delay.x")])
+    assert np.array_equal(np.delete(found, [6, 7], axis=1), wanted)  # without the RMS, which are 0
+    assert (np.ptp(wanted, axis=0) > 0.0).all()
+
+
+def test_a_cascade_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
+    one, draw = FILTERS["cascade"], np.random.default_rng(10)
+    inputs = drawn(ctypes.c_float, one.inputs, STEPS, (0, 0), draw)
+    inputs[:, 0] = drawn(ctypes.c_uint8, 1, STEPS, (0, 8), draw)[:, 0]
+    inputs[:, 1] = drawn(ctypes.c_bool, 1, STEPS, (0, 2), draw)[:, 0]
+    inputs[:, 2:14] = np.abs(inputs[:, 2:14])
+    inputs[:, [8, 12]] += 50.0
+    given = "ConfigurationParameters."
+    names = ["Flags.control_mode", "Flags.enable_thermal_protection", f"{given}thresholds.jntVelMax",
+             f"{given}thresholds.motorNominalCurrents", f"{given}thresholds.motorPeakCurrents",
+             *(f"{given}pids.{one}PID.{term}" for one in ("position", "velocity") for term in "PIDN"),
+             f"{given}pids.currentPID.I", "Estimates_velocity", "Estimates_Iq_filtered", "Sensors_position",
+             "Targets_position", "Targets_velocity", "Targets_current"]  # fmt: skip
+    machine, wanted = filter_of(one, tmp_path), by_cpp(one, inputs, tmp_path)
+    position, velocity = "Position_PID_control.Position", "Velocity_PID_control"
+    kept = [f"{position}_PID.slope.x", f"{velocity}.slope.x", f"{position}_PID.integral.x",
+            f"{position}_Direct_PID.integral.x", f"{velocity}.integral.x", "Unit_Delay.x"]  # fmt: skip
+    assert np.array_equal(flown(machine, inputs, names, kept), wanted)
+    assert (np.ptp(wanted, axis=0) > 0.0).all()
 
 
 MESSAGES = ("foc.current", "foc.velocity", "foc.position", "status.control_mode", "status.pwm_fbk",

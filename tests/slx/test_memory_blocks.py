@@ -54,8 +54,12 @@ EDGES = ["rising", "falling", "either", "level"]
 
 @pytest.mark.parametrize("edge", [*EDGES, "sampled level"])
 @pytest.mark.parametrize("method", ["Forward Euler", "Backward Euler", "Trapezoidal"])
-def test_a_discrete_integrator_resets_limits_and_starts_from_a_signal(tmp_path: Path, method: str, edge: str) -> None:
+@pytest.mark.parametrize("setting", ["Auto", "Output"])
+def test_a_discrete_integrator_resets_limits_and_starts_from_a_signal(
+    tmp_path: Path, setting: str, method: str, edge: str
+) -> None:
     values = {
+        "InitialConditionSetting": setting,
         "IntegratorMethod": f"Integration: {method}",
         "gainval": "3",
         "ExternalReset": edge,
@@ -75,7 +79,8 @@ def test_a_discrete_integrator_resets_limits_and_starts_from_a_signal(tmp_path: 
     starts = resets(CONTROL, edge.replace("sampled level", "level hold"))
     for k, (u, x0) in enumerate(zip(DRAWN[0] * 10, DRAWN[1], strict=True)):
         state = x0 if starts[k] or k == 0 else state
-        y = held(state if method == "Forward Euler" else state + step * u)
+        shown = method == "Forward Euler" or (setting == "Output" and (starts[k] or k == 0))
+        y = held(state if shown else state + step * u)
         state = y if method == "Backward Euler" else held(y + step * u)
         wanted.append(y)
         limited.append(1.0 if y >= 1.5 else -1.0 if y <= -1.0 else 0.0)
@@ -86,10 +91,9 @@ def test_a_discrete_integrator_resets_limits_and_starts_from_a_signal(tmp_path: 
 
 def test_an_accumulator_takes_no_period(tmp_path: Path) -> None:
     values = {"IntegratorMethod": "Accumulation: Backward Euler", "gainval": "0.7", "InitialCondition": "2"}
-    wanted, y = [], 2.0
-    for u in DRAWN[0]:
-        y = y + 0.7 * u
-        wanted.append(y)
+    wanted = [2.0]  # in the first step the output is the initial value
+    for u in DRAWN[0][1:]:
+        wanted.append(wanted[-1] + 0.7 * u)
     assert np.array_equal(run(tmp_path, "DiscreteIntegrator", values, [DRAWN[0]])["y1"], wanted)
 
 

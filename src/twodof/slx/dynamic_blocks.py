@@ -15,9 +15,11 @@ import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.action_group import resettable_integrator
+from twodof.blocks.block import Block, Clock
 from twodof.blocks.bus import Bus
+from twodof.blocks.declarations import State
 from twodof.blocks.elementary.functions import floor
-from twodof.blocks.elementwise import clamp, port_series
+from twodof.blocks.elementwise import clamp, elementwise, port_series
 from twodof.blocks.expressions.expr import convert, int32, where
 from twodof.blocks.expressions.numbers import INTEGER_TYPES, INTEGERS, WORDS
 from twodof.blocks.library import (
@@ -143,12 +145,39 @@ def _delay(c: Asked) -> Made:
     return Made(d, [signal], expand=False)
 
 
+class StartsWithOutput(Block):
+    """A discrete integrator whose output, not its state, is the initial value at the start and at a reset."""
+
+    def __init__(self, item: DiscreteIntegrator) -> None:
+        self.item = item
+        self.inputs, self.outputs, self.params, self.derived = item.inputs, item.outputs, item.params, item.derived
+        self.states = [*item.states, State("started", False, "bool")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        """Compute the step."""
+        return self.item.prepare(p, t)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Return the integral; at a start and a reset its initial value."""
+        rule, bound = self.item.rule, self.item._bound
+        starts = rule.starts(u, x)
+        fresh = ~x.started if starts is None else ~x.started | starts
+        initial = u.x0 if rule.external else p.initial
+        y = self.item.output(u, x, p, t)
+        return elementwise(lambda now, first: where(fresh, bound(first, p), now), y, initial)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Integrate from the output on."""
+        y = self.output(u, x, p, t)
+        if self.item.method != "backward":
+            y = elementwise(lambda v, s: self.item._bound(s + p.step * v, p), u.u, y)
+        return {"x": y, **self.item.rule.update(u), "started": True | x.started}
+
+
 def _discrete_integrator(c: Asked) -> Made:
     method = c.text("IntegratorMethod", "Integration: Forward Euler").partition(": ")
     if method[0] not in ("Integration", "Accumulation") or method[2] not in _METHODS:
         raise NotTranslated(f"IntegratorMethod = {''.join(method)!r} is not translated")
-    if method[2] != "Forward Euler" and c.text("InitialConditionSetting", "Auto") == "Output":
-        raise NotTranslated("InitialConditionSetting = 'Output' is not translated")
     gain, scale = c.scalar("gainval", "1.0"), 1.0
     if c.inputs[0].kind in (*INTEGERS, "bool"):
         return _whole_accumulator(c, gain)
@@ -160,7 +189,9 @@ def _discrete_integrator(c: Asked) -> Made:
         gain, scale = undoing[0], gain
 
     def integrator(initial: Any, limits: Any, reset: bool, width: int | None) -> Item:
-        return DiscreteIntegrator(_METHODS[method[2]], gain, initial, limits, reset, width)
+        item = DiscreteIntegrator(_METHODS[method[2]], gain, initial, limits, reset, width)
+        shown = method[2] != "Forward Euler" and c.text("InitialConditionSetting", "Output") == "Output"
+        return StartsWithOutput(item) if shown else item
 
     return _integral(c, integrator, scale)
 
@@ -179,7 +210,7 @@ def _whole_accumulator(c: Asked, gain: float) -> Made:
         raise NotTranslated(f"gainval = {gain:g}, or limits {limits}, of whole numbers {kind} are not translated")
 
     def within(value: Any) -> Any:
-        low, high = (INTEGER_TYPES[kind](int(v)) for v in limits)
+        low, high = (INTEGER_TYPES[kind](int(v)) for v in (limits if limited else (0, 0)))
         return clamp(low, high, value) if limited else value
 
     def now(t: Any, u: Any, clear: Any, x: Any) -> Any:
@@ -269,15 +300,34 @@ def _pid(c: Asked) -> Made:
     ideal = c.needs("Form", "Parallel", "Parallel", "Ideal") == "Ideal"
     filtered = c.needs("UseFilter", "on", "on", "off") == "on"
     edge, limited = _edge(c), c.text("LimitOutput", "off") == "on"
-    for name, only in _PID_ONLY.items():
-        c.needs(name, only, only)
+    c.needs("LimitIntegratorOutput", "off", "off")
     windup = c.needs("AntiWindupMode", "none", "none", "back-calculation", "clamping") if limited else "none"
+    tracks, started, bounded = (
+        c.text(name, only) != only
+        for name, only in (
+            ("TrackingMode", "off"), ("InitialConditionSource", "internal"), ("SatLimitsSource", "internal")
+        )
+    )  # fmt: skip
+    method = "forward" if continuous else c.pick("IntegratorMethod", "Forward Euler", dict(_METHODS))
+    start = c.scalar("InitialConditionForFilter", "0")
+    turned = not continuous and filtered and c.text("FilterMethod", "Forward Euler") == "Trapezoidal" and not start
+    in_one = (tracks or started or bounded or method != "forward" or turned) and not continuous
+    ported = tracks or started or bounded
+    if (ported and (continuous or (tracks and bounded))) or (in_one and ideal and (tracks or limited)):
+        raise NotTranslated("tracking, or an initial value or limits from ports, are not translated in this form")
     external = c.needs("ControllerParametersSource", "internal", "internal", "external") == "external"
     d, both = Diagram("pid"), "2DOF" in c.block.kind
     for name in ("r", "u") if both else ("u",):
         d.input(name)
     for name in (*kind, *("N" * ("D" in kind and filtered))) if external else ():
         d.input(name)
+    clear = ""
+    if in_one:
+        clear = f"{_clears(d, c.inputs[len(d.inputs)], edge)}.y" if edge else d.add("never", Constant(False, "bool"))
+        more = [*["I0"] * ("I" in kind), *["D0"] * ("D" in kind and filtered)] if started else []
+        for name in (*more, *["high", "low"] * bounded, *["TR"] * tracks):
+            d.input(name)
+        c.notes += ["the filter begins at 0, whatever D0 is"] * ("D0" in more)
     weights = {"P": c.scalar("b", "1"), "D": c.scalar("c", "1")} if both else {}
 
     def error(term: str) -> str:
@@ -295,11 +345,12 @@ def _pid(c: Asked) -> Made:
     if ideal or "P" in kind:
         terms.append(error("P") if ideal else times("P", error("P"), "1"))
     if "I" in kind:
-        rate, start = times("I", error("I"), "1"), c.scalar("InitialConditionForIntegrator", "0")
-        method = c.pick("IntegratorMethod", "Forward Euler", dict(_METHODS)) if not continuous else ""
-        terms.append(d.add("integral", Integrator(start) if continuous else DiscreteIntegrator(method, 1.0, start)))
+        rate, first = times("I", error("I"), "1"), c.scalar("InitialConditionForIntegrator", "0")
+        terms.append("integral")
+        if not in_one:
+            d.add("integral", Integrator(first) if continuous else DiscreteIntegrator(method, 1.0, first))
     if "D" in kind:
-        slope, start = times("D", error("D"), "0"), c.scalar("InitialConditionForFilter", "0")
+        slope = times("D", error("D"), "0")
         if not filtered and continuous:
             raise NotTranslated("UseFilter = 'off' in continuous time is not translated")
         if not filtered:
@@ -307,6 +358,9 @@ def _pid(c: Asked) -> Made:
             terms.append(
                 d.add("N", Formula(lambda t, u, x: (u - x) / c.dt, [Signal()], Signal(), {"x": now}), u1=slope)
             )
+        elif turned:
+            n = "N" if external else d.add("N", Constant(c.scalar("N", "100")))
+            terms.append(f"{d.add('slope', _turned_filter(c.dt), u1=slope, u2=n, u3=clear)}.y")
         elif continuous or c.text("FilterMethod", "Forward Euler") == "Forward Euler":
             d.add("filter", Integrator(start) if continuous else DiscreteIntegrator("forward", 1.0, start))
             terms.append(times("N", d.add("slope", Sum("+-"), a=slope, b="filter"), "100"))
@@ -318,31 +372,95 @@ def _pid(c: Asked) -> Made:
             x = (start, lambda t, u, n, x: x + of(t, u, n, x) * c.dt)
             n = "N" if external else d.add("N", Constant(c.scalar("N", "100")))
             terms.append(d.add("slope", Formula(of, [Signal()] * 2, Signal(), {"x": x}), u1=slope, u2=n))
+    low, high = (c.scalar(f"{end}SaturationLimit", f"{sign}inf") for end, sign in (("Lower", "-"), ("Upper", "")))
+    if "I" in kind and in_one:
+        wanted = {
+            "rate": rate,
+            "clear": clear,
+            "p": terms[0] if "P" in kind else "",
+            "n": terms[-1] if "D" in kind else "",
+        }
+        wanted |= {"x0": "I0" * started, "high": "high" * bounded, "low": "low" * bounded, "TR": "TR" * tracks}
+        ports = {name: source for name, source in wanted.items() if source}
+        gains = {"back-calculation": c.scalar("Kb", "1"), "clamping": None, "none": None}
+        kb = c.scalar("Kt", "1") if tracks else gains[windup]
+        item = _integral_of_pid(c.dt, method, first, (low, high), windup, kb, list(ports))
+        d.add("integral", item, inputs={f"u{k}": source for k, source in enumerate(ports.values(), start=1)})
+        terms = [f"{one}.y" if one == "integral" else one for one in terms]
     y = (
         terms[0]
         if len(terms) == 1
         else d.add("sum", Sum("+" * len(terms)), inputs=dict(zip("abc", terms, strict=False)))
     )
     y = times("P", y, "1") if ideal else y
-    if limited:
-        low, high = c.scalar("LowerSaturationLimit", "-inf"), c.scalar("UpperSaturationLimit", "inf")
+    if limited and bounded:
+        within = Formula(
+            lambda t, y, high, low: where(y > high, high, where(y < low, low, y)), [Signal()] * 3, Signal()
+        )
+        y = f"{d.add('limited', within, u1=y, u2='high', u3='low')}.y"
+    elif limited:
         before, y = y, d.add("limited", Saturation(low, high), u=y)
-        if windup == "back-calculation" and "I" in kind:
+        if in_one:
+            pass
+        elif windup == "back-calculation" and "I" in kind:
             d.add("excess", Sum("+-"), a=y, b=before)
             rate = d.add("driven", Sum("++"), a=d.add("Kb", Gain(c.scalar("Kb", "1")), u="excess"), b=rate)
         elif windup == "clamping" and "I" in kind:  # not while it is limited and would go further
             hold = lambda t, u, y: where(((y > high) & (u > 0.0)) | ((y < low) & (u < 0.0)), 0.0, u)  # noqa: E731
             rate = d.add("clamped", Formula(hold, [Signal()] * 2, Signal()), u1=rate, u2=before)
-    if "I" in kind:
+    if "I" in kind and not in_one:
         d.connect(rate, "integral.u")
     d.output("y", y)
-    return Made(d, [Signal()]) if not edge else _resettable(c, d, edge)
+    return _resettable(c, d, edge) if edge and not in_one else Made(d, [Signal()])
+
+
+def _turned_filter(dt: float) -> Formula:
+    """Return the trapezoidal filter of a PID's slope as MathWorks' C computes it: of slope, N and reset."""
+
+    def stepped(t: Any, u: Any, n: Any, clear: Any, x: Any) -> tuple[Any, Any]:
+        turn, before = n * (dt / 2.0), where(clear, 0.0, x)
+        share = 1.0 / (turn + 1.0)
+        now = u - (turn - 1.0) * share * before
+        return (now - before) * share * n, now
+
+    state = (0.0, lambda *v: stepped(*v)[1])
+    return Formula(lambda *v: stepped(*v)[0], [Signal(), Signal(), Signal("bool")], Signal(), {"x": state})
+
+
+def _integral_of_pid(
+    dt: float, method: str, first: float, limits: tuple[float, float], windup: str, gain: float | None, ports: list[str]
+) -> Formula:
+    """Return the integral of a PID of the signals `ports`: what it follows is compared with P, D and its last state.
+
+    `gain` is that of the tracking, or of the back-calculation.
+    """
+    step = dt / 2.0 if method == "trapezoidal" else dt
+
+    def stepped(t: Any, *v: Any) -> tuple[Any, Any]:
+        given, (x, begun) = dict(zip(ports, v, strict=False)), v[len(ports) :]
+        back, rate = given["p"] + x if "p" in given else x, given["rate"]
+        back = back + given["n"] if "n" in given else back
+        low, high = given.get("low", limits[0]), given.get("high", limits[1])
+        if "TR" in given:
+            rate = (given["TR"] - back) * gain + rate
+        elif windup == "back-calculation":
+            rate = (where(back > high, high, where(back < low, low, back)) - back) * gain + rate
+        elif windup == "clamping":
+            rate = where(((back > high) & (rate > 0.0)) | ((back < low) & (rate < 0.0)), 0.0, rate)
+        begins = given.get("x0", first)
+        x = where(given["clear"], begins, where(begun, x, begins) if "x0" in given else x)
+        change = rate * step
+        y = x if method == "forward" else change + x
+        return y, y if method == "backward" else y + change
+
+    signals = [Signal("bool") if name == "clear" else Signal() for name in ports]
+    begun = (False, lambda *v: True | v[-1])
+    initial = 0.0 if "x0" in ports else first
+    state = (initial, lambda *v: stepped(*v)[1])
+    return Formula(lambda *v: stepped(*v)[0], signals, Signal(), {"x": state, "begun": begun})
 
 
 _METHODS = {"Forward Euler": "forward", "Backward Euler": "backward", "Trapezoidal": "trapezoidal"}
-_PID_ONLY = {"InitialConditionSource": "internal", "TrackingMode": "off", "LimitIntegratorOutput": "off",
-             "SatLimitsSource": "internal"}  # fmt: skip
-"""Choices of a PID that have one translation only."""
 
 
 def _polynomial(c: Asked, name: str, default: str) -> list[Any]:

@@ -4,16 +4,19 @@ A function has the order of operations of MathWorks' C. What a block's dialog of
 Source: reference pages of Simulink, Control System Toolbox and DSP System Toolbox.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from twodof.blocks import Diagram
 from twodof.errors import DiagramError
+from twodof.slx.composite_blocks import Formula
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, passes
 
-TOOLBOXES = ("ctrlSharedLib", "dspstat3", "dspbuff3", "dsppolyfun")
+TOOLBOXES = ("ctrlSharedLib", "dspstat3", "dspbuff3", "dsppolyfun", "mcbcontrolslib")
 """Libraries of these blocks: of another block in them a file is looked for."""
 
 
@@ -198,6 +201,27 @@ def _dynamic_lookup(c: Asked) -> Made:
     )
 
 
+def _transformed(*each: Callable[..., Any], **only: str) -> Rule:
+    """Return the rule of a change of coordinates: a function of the inputs for each output, for the choices `only`."""
+
+    def rule(c: Asked) -> Made:
+        c.kind("real")
+        for name, wanted in {"PhaseInput": "Two inputs", **only}.items():
+            c.needs(name, wanted, wanted)
+        d = Diagram("transform")
+        sources = {d.input(f"u{k}", width=one.width): f"u{k}" for k, one in enumerate(c.inputs, start=1)}
+        for k, of in enumerate(each, start=1):
+            item = Formula(lambda t, *u, of=of: of(*u), c.inputs, Signal())
+            d.output(f"y{k}", f"{d.add(f'of{k}', item, inputs=sources)}.y")
+        return Made(d, [Signal()] * len(each), expand=False)
+
+    return rule
+
+
+_SINES = {"ThetaInput": "Sine and Cosine electrical position", "AxisAlignment": "D-axis"}
+_ROOT = math.sqrt(3.0)
+
+
 def _combined(c: Asked) -> Made:
     """Return the row of a truth table that the inputs' truth, the first as the highest bit, is the number of."""
     table = c.value("TruthTable", "[0 0;0 1;0 1;1 0;0 1;1 0;1 0;1 1]").astype(float)
@@ -209,15 +233,28 @@ def _combined(c: Asked) -> Made:
 
 
 TOOLBOX_RULES: dict[str, Rule] = {
+    "Clarke Transform": _transformed(lambda a, b: a, lambda a, b: ((a + b) + b) * (1.0 / _ROOT), EnPowerInv="off"),
     "CombinatorialLogic": _combined,
     "Delay Line": _line,
     "FrameConversion": passes,
     "Interpolation_n-D": _interpolation,
+    "Inverse Clarke Transform": _transformed(
+        lambda a, b: a,
+        lambda a, b: b * (_ROOT / 2.0) - 0.5 * a,
+        lambda a, b: (0.0 - 0.5 * a) - b * (_ROOT / 2.0),
+        EnPowerInv="off",
+    ),
+    "Inverse Park Transform": _transformed(
+        lambda d, q, sin, cos: d * cos - q * sin, lambda d, q, sin, cos: q * cos + d * sin, **_SINES
+    ),
     "Kalman Filter": _kalman,
     "Least Squares Polynomial Fit": _polynomial,
     "Lookup Table Dynamic": _dynamic_lookup,
     "Median Filter": _median,
     "Moving Average": _average,
+    "Park Transform": _transformed(
+        lambda a, b, sin, cos: a * cos + b * sin, lambda a, b, sin, cos: b * cos - a * sin, **_SINES
+    ),
     "PreLookup": _prelookup,
     "S-R Flip-Flop": _flip_flop,
     "Tapped Delay": _taps,
