@@ -10,7 +10,10 @@ from tests.identify.signals import DT, doublet, pitch_record
 from twodof.errors import IdentificationError
 from twodof.experiment import Laboratory, experiment
 from twodof.identify import KINDS, Estimate, Record, Samples, cut, fit, repeat
+from twodof.identify.disturbance.autoregression import autoregression
+from twodof.identify.disturbance.coloured_problem import ColouredProblem
 from twodof.identify.identified_flight import identify_flight
+from twodof.identify.problem import Problem
 from twodof.identify.ready_made import true_values
 from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate
@@ -148,6 +151,20 @@ def test_the_pieces_of_a_flight_have_one_noise() -> None:
     # 50 ms of 6 s are lost, and one start more is to be found.
     assert both.sigma("mu") == pytest.approx(one.sigma("mu"), rel=0.1)
     assert abs(both["mu"] - one["mu"]) < one.sigma("mu")
+
+
+@pytest.mark.parametrize("xi", [-0.1, 0.0836, 1.2])
+def test_sensitivities_follow_the_swing_of_the_noise(xi: float) -> None:
+    structure = pitch_rate()
+    values = {"w_n": 3.2, "xi": xi, "mu": 290.0, "tau": 0.02, "q_0": 0.01}
+    problem = Problem(structure, [closed_loop(1)], structure.estimate, values, prior={"w_n": (3.1, 0.5)})
+    pushes = ColouredProblem(problem, swing=True).at(problem.x0)[1]
+    # With a known colour the prediction errors have derivatives that can be taken of them as a whole.
+    known = ColouredProblem(problem, [autoregression(pushes[: problem.size], [slice(0, problem.size)])], swing=True)
+    found = known.sensitivities(problem.x0)
+    for i, step in enumerate(1e-4 * np.diag(problem.scale)):
+        expected = (known.whitened(problem.x0 + step) - known.whitened(problem.x0 - step)) / (2.0 * step[i])
+        assert np.abs(found[:, i] - expected).max() < 1e-4 * np.abs(expected).max(), problem.slots[i].label
 
 
 @pytest.mark.long

@@ -114,30 +114,13 @@ SWING = ("w_n", "xi")
 _REMEMBERED_S = 4.0
 """Time over which the inverse of a swing integrates [s]: longer than the swing lasts."""
 
-
-def swing_of(problem: Problem, **shift: float) -> tuple[Array, Array] | None:
-    """Return the filter (numerator, denominator) from a rate that swings to what pushes it, by the prior of the poles.
-
-    A pendulum that a gust pushes swings on for seconds. An autoregression of .24 s does not see it, and what it leaves
-    would pass for information about the poles. `shift` moves a pole by so many of the prior's standard deviations.
-    Returns None where the poles have no prior.
-    """
-    if not set(SWING) <= set(problem.known):
-        return None
-    dt = problem.records[0].dt
-    w_n, xi = (mean + shift.get(name, 0.0) * width for name in SWING for mean, width in [problem.known[name]])
-    pole = np.exp(dt * w_n * complex(-xi, math.sqrt(max(0.0, 1.0 - xi * xi))))
-    return np.array([1.0, -2.0 * pole.real, abs(pole) ** 2]), np.array([1.0, -math.exp(-dt / _REMEMBERED_S)])
+_SWING_STEP = 1e-5
+"""Step of the differences by w_n [rad/s] and xi."""
 
 
-def widened(jacobian: Array, error: Array) -> Array:
-    """Return the sensitivities whose covariance is that of `jacobian` plus `error` `error`' (Sherman and Morrison)."""
-    moved = jacobian @ error
-    length = float(moved @ moved)
-    if not length > 0.0:
-        return jacobian
-    share = (1.0 - 1.0 / math.sqrt(1.0 + length)) / length
-    return np.asarray(jacobian - share * np.outer(moved, moved @ jacobian))
+def swings(problem: Problem) -> bool:
+    """Return True if w_n and xi have priors, so that the noise may push the swing that they describe."""
+    return set(SWING) <= set(problem.known)
 
 
 class NoiseRows:
@@ -146,8 +129,8 @@ class NoiseRows:
     `deviation` (size,) is the standard deviation of the prediction errors over their root mean square.
     """
 
-    def __init__(self, problem: Problem, blocks: Sequence[int], swing: tuple[Array, Array] | None = None) -> None:
-        self._problem, self._blocks, self._swing = problem, tuple(blocks), swing
+    def __init__(self, problem: Problem, blocks: Sequence[int]) -> None:
+        self._problem, self._blocks = problem, tuple(blocks)
         own = [problem.blocks[k] for k in blocks]
         rows = np.concatenate([np.arange(block.rows.start, block.rows.stop) for block in own])
         # A slice is a view: most flights are one record.
@@ -162,13 +145,17 @@ class NoiseRows:
         self.loud: NoiseIncrease | None = None
         self.deviation = np.ones(self.size)
 
-    def pushes(self, rows: Array) -> Array:
-        """Return `rows` (samples, ...) behind the swing's inverse; each piece begins at rest."""
-        if self._swing is None:
-            return rows
+    def pushes(self, rows: Array, x: Array) -> Array:
+        """Return `rows` (samples, ...) behind the inverse of the swing at x; each piece begins at rest."""
         from scipy.signal import lfilter  # imported late: most commands start without it
 
-        return np.concatenate([lfilter(*self._swing, rows[piece], axis=0) for piece in self.pieces])
+        record = self._problem.blocks[self._blocks[0]].record
+        w_n, xi = (self._problem.values(x, record)[name] for name in SWING)
+        dt = self._problem.records[record].dt
+        turn = np.sqrt(complex(xi * xi - 1.0))
+        one, two = np.exp(dt * w_n * np.array([-xi + turn, -xi - turn]))
+        inverse = [1.0, -(one + two).real, (one * two).real], [1.0, -math.exp(-dt / _REMEMBERED_S)]
+        return np.concatenate([lfilter(*inverse, rows[piece], axis=0) for piece in self.pieces])
 
     def listen(self, error: Array) -> None:
         """Find how loud the noise is where an input has moved, from its white `error`."""
@@ -204,15 +191,16 @@ class ColouredProblem:
     closed loop too, where input and earlier noise go together. With `given` noises, autoregressions or walks, one for
     each block, the colour is known: the cost is the sum of squares, and the Jacobian is prefiltered only.
 
-    With `swing` (`swing_of`) rows pass that filter first, and the autoregression is that of the pushes.
+    With `swing` the autoregression is that of pushes at the plant. Rows first pass the inverse of the swing by the w_n
+    and xi of x. A pendulum that a gust pushes swings on for seconds, which an autoregression of .24 s does not see.
     """
 
-    def __init__(self, problem: Problem, given: Sequence[Any] = (), swing: tuple[Array, Array] | None = None) -> None:
-        self.problem, self._given = problem, tuple(given)
+    def __init__(self, problem: Problem, given: Sequence[Any] = (), swing: bool = False) -> None:
+        self.problem, self._given, self._swing = problem, tuple(given), swing
         groups = [(k,) for k in range(len(given))] if given else problem.noises
-        self._noises = [NoiseRows(problem, noise, swing) for noise in groups]
+        self._noises = [NoiseRows(problem, noise) for noise in groups]
         self._orders: list[int | None] = [None] * len(self._noises)
-        self._last: tuple[Array, Array, tuple[Autoregression, ...]] | None = None
+        self._last: tuple[Array, Array, Array, tuple[Autoregression, ...]] | None = None
 
     def minimise(self, x: Array, iterations: int = 100) -> LeastSquaresMinimum:
         """Search the most likely x from a first guess, with the orders chosen on the way."""
@@ -222,7 +210,7 @@ class ColouredProblem:
             if not np.isfinite(raw).all():
                 return LeastSquaresMinimum(x, raw, math.inf, 0, False, np.zeros(x.shape, dtype=bool))
             self._orders = [None] * len(self._orders)
-            orders: list[int | None] = [model.order for model in self._models(raw)]
+            orders: list[int | None] = [model.order for model in self._models(self._pushes(raw, x))]
             self._orders = orders
             self._last = None
             if orders == before:
@@ -242,7 +230,7 @@ class ColouredProblem:
     def choose(self, x: Array) -> None:
         """Choose the orders by the residual at x."""
         self._orders, self._last = [None] * len(self._orders), None
-        self._orders = [model.order for model in self.at(x)[1]]
+        self._orders = [model.order for model in self.at(x)[2]]
 
     def lengthen(self, x: Array) -> None:
         """Take longer models from now on: one coefficient for 40 samples, `MAX_ORDER` at most.
@@ -250,7 +238,7 @@ class ColouredProblem:
         The order that predicts best may be too short to claim by, because it leaves out the slow part of the noise. On
         the rig `lab` a pseudo-random flight of 9 s claimed 5 % too little with order 12. The estimates gain nothing.
         """
-        orders = [model.order for model in self.at(x)[1]]
+        orders = [model.order for model in self.at(x)[2]]
         self._orders = [
             max(own, min(MAX_ORDER, noise.size // _A_COEFFICIENT))
             for own, noise in zip(orders, self._noises, strict=True)
@@ -259,48 +247,59 @@ class ColouredProblem:
 
     def residual(self, x: Array) -> Array:
         """Rows whose sum of squares falls as the likelihood rises."""
-        raw, models = self.at(x)
-        return self._whiten(raw, models) * self._spread(models) if models else raw
+        _, pushes, models = self.at(x)
+        return self._whiten(pushes, models) * self._spread(models) if models else pushes
 
     def jacobian(self, x: Array, residual: Array) -> Array:
         """Return the derivatives of `residual` by x."""
-        raw, models = self.at(x)
-        return self._projected(self.problem.jacobian(x, raw), raw, models) * self._spread(models)
+        raw, _, models = self.at(x)
+        return self._projected(self.problem.jacobian(x, raw), x) * self._spread(models)
 
     def sensitivities(self, x: Array) -> Array:
         """Two-sided prefiltered sensitivities in units of the noise, less what the coefficients' errors explain."""
-        raw, models = self.at(x)
-        return self._projected(self.problem.central_jacobian(x), raw, models)
+        return self._projected(self.problem.central_jacobian(x), x)
 
     def whitened(self, x: Array) -> Array:
         """Return the prediction errors at x, over their standard deviations."""
-        return self._whiten(*self.at(x))
+        return self._whiten(*self.at(x)[1:])
 
     def whiten(self, rows: Array) -> Array:
         """Return rows of all blocks, prefiltered by the `given` noise; those of the prior as they are."""
         return self._whiten(rows, self._given)
 
-    def at(self, x: Array) -> tuple[Array, tuple[Autoregression, ...]]:
-        """Return the weighted residual at x and its noise models, by noise; no models if it is not finite."""
+    def at(self, x: Array) -> tuple[Array, Array, tuple[Autoregression, ...]]:
+        """Return the weighted residual at x, the pushes behind it and their noise models, by noise.
+
+        There are no models if the residual is not finite.
+        """
         if self._last is None or not np.array_equal(self._last[0], x):
             raw = self.problem.residual(x)
-            self._last = (x.copy(), raw, self._models(raw) if np.isfinite(raw).all() else ())
-        return self._last[1], self._last[2]
+            pushes = self._pushes(raw, x)
+            self._last = (x.copy(), raw, pushes, self._models(pushes) if np.isfinite(pushes).all() else ())
+        return self._last[1:]
 
     def cost(self, x: Array) -> float:
         """Return -2 log likelihood with Akaike's corrected penalty, to compare searches; the orders follow from x."""
         self.choose(x)
-        raw, models = self.at(x)
-        white = self._whiten(raw, models)
+        white, models = self.whitened(x), self.at(x)[2]
         unknowns = sum(model.order + 1 for model in models) + x.size
         penalty = 2.0 * unknowns * self.problem.size / max(1, self.problem.size - unknowns - 1)
         return float(white @ white) + 2.0 * self.log_deviations(models) + penalty
 
-    def _whiten(self, rows: Array, models: Sequence[Autoregression]) -> Array:
+    def _pushes(self, rows: Array, x: Array) -> Array:
+        """Return rows of all blocks behind the inverse of the swing at x; those of the prior as they are."""
+        if not self._swing:
+            return rows
+        pushed = rows.copy()
+        for noise in self._noises:
+            pushed[noise.rows] = noise.pushes(rows[noise.rows], x)
+        return pushed
+
+    def _whiten(self, pushes: Array, models: Sequence[Autoregression]) -> Array:
         """Rows of all blocks, each prefiltered by its own model; those of the prior as they are."""
-        white = rows.copy()
+        white = pushes.copy()
         for model, noise in zip(models, self._noises, strict=True):
-            own = model.whiten(noise.pushes(rows[noise.rows]), noise.pieces)
+            own = model.whiten(pushes[noise.rows], noise.pieces)
             white[noise.rows] = own if noise.loud is None else (own.T / noise.deviation).T
         return white
 
@@ -309,9 +308,9 @@ class ColouredProblem:
 
         A search begins with even noise. Far from the truth the response that is missed would pass for noise.
         """
-        raw, models = self.at(x)
+        _, pushes, models = self.at(x)
         for model, noise in zip(models, self._noises, strict=True):
-            noise.listen(model.whiten(noise.pushes(raw[noise.rows]), noise.pieces))
+            noise.listen(model.whiten(pushes[noise.rows], noise.pieces))
         self._last = None
         return any(noise.loud is not None for noise in self._noises)
 
@@ -320,10 +319,10 @@ class ColouredProblem:
         found = ((self.problem.noise_label(k), noise.loud) for k, noise in enumerate(self._noises))
         return {label: loud for label, loud in found if loud is not None}
 
-    def _models(self, raw: Array) -> tuple[Autoregression, ...]:
+    def _models(self, pushes: Array) -> tuple[Autoregression, ...]:
         parts = zip(self._noises, self._orders, strict=True)
         spent = len(self.problem.slots)
-        return self._given or tuple(autoregression(n.pushes(raw[n.rows]), n.pieces, order, spent) for n, order in parts)
+        return self._given or tuple(autoregression(pushes[n.rows], n.pieces, order, spent) for n, order in parts)
 
     def log_deviations(self, models: Sequence[Autoregression]) -> float:
         """Return half the logarithm of the determinant of the noises' covariance."""
@@ -333,12 +332,19 @@ class ColouredProblem:
     def _spread(self, models: Sequence[Autoregression]) -> float:
         return 1.0 if self._given else math.exp(self.log_deviations(models) / self.problem.size)
 
-    def _projected(self, jacobian: Array, raw: Array, models: Sequence[Autoregression]) -> Array:
-        white = self._whiten(jacobian, models)
+    def _projected(self, jacobian: Array, x: Array) -> Array:
+        """Return the sensitivities `jacobian` of the residual, prefiltered, less what the coefficients explain."""
+        raw, pushes, models = self.at(x)
+        slopes = self._pushes(jacobian, x)
+        for i, slot in enumerate(self.problem.slots):
+            if self._swing and slot.unknown.name in SWING:  # the filter's own derivative
+                step = _SWING_STEP * np.eye(x.size)[i]
+                slopes[:, i] += (self._pushes(raw, x + step) - self._pushes(raw, x - step)) / (2.0 * _SWING_STEP)
+        white = self._whiten(slopes, models)
         for model, noise in zip(models, self._noises, strict=True):
             if self._given or not model.order:
                 continue
-            own = noise.pushes(raw[noise.rows])
+            own = pushes[noise.rows]
             # Prediction errors change with coefficient k as the residual k samples earlier.
             earlier = np.zeros((own.size, model.order))
             for piece in noise.pieces:
