@@ -94,9 +94,9 @@ def test_a_range_sample_shows_after_88_ms_and_without_a_step(program: CompiledPr
     assert not np.any(out["x"][: at + LATE])
     assert not np.any(out["v"][: at + LATE])
     assert out["x"][at + LATE] > 0.0
-    # The filter jumps by k_x of the 10 mm; the output goes there with its time constant.
+    # The filter jumps by k_x of the 10 mm; the output goes there with its time constant, by two pulls in five steps.
     jump = GAINS["k_x"] * 0.01
-    assert np.max(np.diff(out["x"])) < jump * 2.0 * PERIOD / GAINS["follow"]
+    assert np.max(out["x"][5:] - out["x"][:-5]) < 5.0 * jump * 2.0 * PERIOD / GAINS["follow"]
     assert np.max(out["x"]) > 0.5 * jump
 
 
@@ -113,13 +113,14 @@ def test_it_starts_settled(program: CompiledProgram, bias: float, speed: float) 
     start(machine, own.states)
     sensors = {"acc_z": -GRAVITY, "dist": RAIL_CENTRE + truth[HISTORY:], "dist_new": ranges(steps)}
     out = machine.run(steps, sensors)
-    # No range sample is on its way at the start, so once the range pulls late: by up to 9 % of the error of v and 28 %
-    # of that of x. Later the samples come in turn after 13 and 14 steps, and x wanders by 3 %.
-    last = slice(-1000, None)
-    for found, error, most, lasting in (
-        (out["v"] - speed, bias, 0.1, 0.005),
-        (out["x"] - truth[HISTORY:], own.x, 0.3, 0.04),
-        (out["theta"], own.theta, 0.05, 0.005),
+    # No range sample is on its way at the start, so once the range pulls late: by up to 11 % of the error of v and 28 %
+    # of that of x. Later the samples come in turn after 13 and 14 steps, and x wanders by 3 %. Between two pulls of the
+    # outputs, 8 or 12 ms, x runs on with v: by at most two steps.
+    last, saw = slice(-1000, None), 2.0 * PERIOD * abs(bias)
+    for found, error, most, lasting, runs_on in (
+        (out["v"] - speed, bias, 0.12, 0.005, 0.0),
+        (out["x"] - truth[HISTORY:], own.x, 0.3, 0.04, saw),
+        (out["theta"], own.theta, 0.05, 0.005, 0.0),
     ):
-        assert found == pytest.approx(error, abs=most * abs(error) + 1e-9)
-        assert np.mean(found[last]) == pytest.approx(error, abs=lasting * abs(error) + 1e-9)
+        assert found == pytest.approx(error, abs=most * abs(error) + runs_on + 1e-9)
+        assert np.mean(found[last]) == pytest.approx(error, abs=lasting * abs(error) + runs_on + 1e-9)
