@@ -332,7 +332,7 @@ def check_declarations(block: Declared, name: str) -> None:
 def names_given(method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:
     """Return a method's result as a mapping, with its names checked against the declared ones."""
     if result is None:
-        raise DiagramError(f"{method} returns nothing", "", "end it with return, and what it gives")
+        raise DiagramError(f"{method} returns nothing", "", "end it with a return of its values")
     result = by_path(result, [d.name for d in declared])
     if not isinstance(result, Mapping):
         if len(declared) != 1:

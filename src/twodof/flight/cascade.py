@@ -237,7 +237,7 @@ class GivenSetPoint(Block):
 
 
 class MomentAndThrust(Block):
-    """Moment and thrust for the mixer: from the closed loops, in open loop the set-points, 0 in the mode off."""
+    """Moment and thrust for the mixer: of the closed loops, or in open loop of the set-points; 0 in the mode off."""
 
     inputs = (*ports("mode"), Port("M_loop"), Port("T_loop"), *ports("M_open", "thrust"))
     outputs = ports("M", "T")

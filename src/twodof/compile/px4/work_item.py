@@ -79,7 +79,7 @@ class ModuleRole:
 
     @property
     def asides(self) -> tuple[str, ...]:
-        """Further topics, to find other commanding modules and to make PX4 disarm."""
+        """Further topics: those that show other commanding modules, and the one that makes PX4 disarm."""
         return tuple(sorted({*self.signs, "vehicle_command", "vehicle_status"}))
 
     @property
