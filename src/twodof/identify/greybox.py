@@ -20,7 +20,7 @@ from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance, uncertain_unknowns
 from twodof.identify.disturbance.disturbance_model import Disturbance, DisturbanceModel, inputs_that_answer
-from twodof.identify.disturbance.noise_search import Disturbed, astray, check_disturbance, likelier, passes, search
+from twodof.identify.disturbance.noise_search import Disturbed, check_disturbance, diverges, likelier, passes, search
 from twodof.identify.disturbance.walk import (
     can_predict,
     first_gains,
@@ -47,7 +47,7 @@ _POOR = 80.0
 """FIT [%] below which an offset that the structure has no unknown for is named."""
 _COARSE_S = 0.1
 """Shortest step of a record whose time may be in another unit than seconds [s]."""
-_ASTRAY, _FAR_ASTRAY = 1.5, 100.0
+_DIVERGED, _FAR_DIVERGED = 1.5, 100.0
 """Error of a simulation, over what moves in the output, that no right model makes; the second in closed loop."""
 _OTHER_SIZE = 1e6
 """Model over data, at the first guess, from which on rounding hides what the other unknowns do."""
@@ -249,7 +249,7 @@ def _found(
                 "take disturbance='ar', which any structure can have",
             )
         return found
-    lost = minimum is None or astray(problem, problem.residual(minimum.x))
+    lost = minimum is None or diverges(problem, problem.residual(minimum.x))
     if found is not None and lost and is_unstable(structure, problem.values(found.minimum.x, 0), records[0].dt):
         return found
     if minimum is None:
@@ -269,7 +269,7 @@ def _predicted(
     The search begins at output error's `minimum`, if that does not run away from the data.
     """
     tried, wanted = [], len(problem.slots)
-    usable = minimum is not None and not astray(problem, problem.residual(minimum.x))
+    usable = minimum is not None and not diverges(problem, problem.residual(minimum.x))
     start = minimum.x if minimum is not None and usable else problem.x0
     for gains in first_gains(problem.structure, problem.records[0], problem.values(start, 0)):
         own = posed(problem.records, gains)
@@ -309,7 +309,7 @@ def _check_followed(problem: Problem, found: Disturbed) -> None:
     # In closed loop the model is judged by what it predicts: the input answers pushes that a simulation does not know.
     answered = bool(found.model.answering) and found.model.kind in ("ar", "input")
     own, x = found.predictor or (problem, found.minimum.x)
-    if not astray(own, own.residual(x), _FAR_ASTRAY if answered else _ASTRAY):
+    if not diverges(own, own.residual(x), _FAR_DIVERGED if answered else _DIVERGED):
         return
     _check_stable(problem, found)
     raise problem.structure.error(

@@ -171,7 +171,7 @@ def _settled(problem: Problem, white: Disturbed, found: Disturbed) -> Disturbed:
         # Under pushes the start follows from the first two samples, so the simulation may drift.
         if coloured and not found.model.swing and _far_worse(problem, found.minimum.x, white.minimum.x):
             change = math.inf
-        if not coloured and astray(problem, problem.residual(found.minimum.x)):
+        if not coloured and diverges(problem, problem.residual(found.minimum.x)):
             change = math.inf
         if change > _MUCH:
             better = _better(problem, white.minimum, found.minimum.x)
@@ -411,7 +411,7 @@ def _doubt(jacobian: Array) -> float:
 
 
 def passes(problem: Problem, residual: Array) -> bool:
-    """Return True if the residual of each output that is long enough for the test is white, or rounding."""
+    """Return True if each output's residual is white, only rounding, or too short for the test."""
     for k, block in enumerate(problem.blocks):
         own = residual[block.rows]
         tested = own.size >= 4 * _LAGS and float(np.ptp(own)) > 0.0
@@ -420,8 +420,8 @@ def passes(problem: Problem, residual: Array) -> bool:
     return True
 
 
-def astray(problem: Problem, residual: Array, times: float = 1.0) -> bool:
-    """Return True if the residual is more than `times` what moves in an output of a record, or not finite."""
+def diverges(problem: Problem, residual: Array, times: float = 1.0) -> bool:
+    """Return True if the residual of an output is not finite, or over `times` the standard deviation of its data."""
     left = (_deviation(problem, residual) * problem.sigma).tolist()
     moves = [float(problem.measured(k).std()) for k in range(len(left))]
     return any(own > 0.0 and not error <= times * own for error, own in zip(left, moves, strict=True))
