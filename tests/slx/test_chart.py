@@ -121,6 +121,19 @@ def test_nested_states_act_in_stateflows_order(tmp_path: Path) -> None:
     assert_log(chart(tmp_path, "".join(NESTED)), ticks)
 
 
+def test_a_call_of_a_subsystem_is_true_in_its_tick(tmp_path: Path) -> None:
+    parts = [state(1, "A\nduring: call;"), state(2, "B"), way(11, None, 1), way(12, 1, 2, "[u > 0]{send(call)}")]
+    parts += [way(13, 2, 1, "[u < 0]")]
+    call = '<event SSID="5" name="call">' + "".join(
+        f'<P Name="{name}">{value}</P>'
+        for name, value in (("scope", "OUTPUT_EVENT"), ("trigger", "FUNCTION_CALL_EVENT"))
+    )
+    found = chart(tmp_path, "".join(parts), f"{call}</event>", outputs=("call()",))
+    (called,) = flown(found, [0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0]).values()
+    assert called.tolist() == [False, True, True, False, False, True, True]
+    assert any("acts once in a tick, after the chart" in line.why for line in found.report)
+
+
 def test_a_change_is_one_since_the_tick_before(tmp_path: Path) -> None:
     """Of the only state, which needs no default transition; a condition goes on behind three dots."""
     inner = [

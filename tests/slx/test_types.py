@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.slx.files import model, slx
+from tests.slx.files import model, model_of, slx
 from tests.slx.test_import import DRAWN, DT, flown
 from twodof.blocks.bus import Bus
 from twodof.errors import DiagramError
@@ -432,6 +432,17 @@ def test_a_product_of_doubles_may_be_a_whole_number(tmp_path: Path) -> None:
     found = of_kinds(tmp_path, ("Product", {"Inputs": "*//", "OutDataTypeStr": "int32"}), ("double",) * 3)
     a, b, c = DRAWN
     assert np.array_equal(flown(found, {"u1": 1e3 * a, "u2": b, "u3": c})["y"], np.trunc(1e3 * a / b / c))
+
+
+def test_an_input_that_nothing_drives_is_0_of_its_type(tmp_path: Path) -> None:
+    code = "e(1) = Simulink.BusElement; e(1).Name = 'n'; e(1).DataType = 'uint8'; B = Simulink.Bus; B.Elements = e;"
+    names: dict[str, Any] = {}
+    assert run(code, names) == []
+    blocks = [("Constant", "k", {"Value": "0", "OutDataTypeStr": "Bus: B"}),
+              ("BusAssignment", "b", {"AssignedSignals": "n", "Ports": "[2, 1]"}), ("Outport", "y", {})]  # fmt: skip
+    file = model_of(blocks, [("k", "b:1"), ("b", "y")], tmp_path / "m.slx")
+    found = import_system(read_model(file), "", names, dt=0.01)
+    assert not np.any(flown(found, {})["y.n"])
 
 
 @pytest.mark.parametrize(

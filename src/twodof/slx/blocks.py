@@ -179,6 +179,8 @@ def _demux(c: Asked) -> Made:
         sizes = [share[free.index(k)] if k in free else sizes[k] for k in range(count)]
     if sum(sizes) != width or min(sizes, default=0) < 1:
         raise NotTranslated(f"Outputs = {c.text('Outputs', '4')} does not fit an input of {width} elements")
+    if c.inputs[0].width is None:
+        return passes(c)
     if all(size == 1 for size in sizes) and width > 1:
         return Made(Demux(width, kind), [Signal(kind)] * width)
     d, first = Diagram("demux"), 0

@@ -8,13 +8,15 @@ way does not reach a state. Exit actions go from the inside out, entry actions f
 
 Graphical functions, and functions in MATLAB's language, see and change the chart's data.
 
-Actions in C are read as MATLAB's where both mean the same. Charts have no events; anything else is refused.
+Actions in C are read as MATLAB's where both mean the same. The only events are calls of subsystems; anything else is
+refused.
 """
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -139,9 +141,12 @@ class _Chart:
         self.scripts: list[str] = []
         self.functions: list[_State] = []
         self.data: list[Form] = []
+        self.calls: list[str] = []
+        """The events by which it calls subsystems: outputs that are true in the tick of the call."""
         self.notes: list[str] = []
         self.root = _State("chart", "the chart", None, form["values"].get("decomposition") == "SET_CHART")
         self._read(form, self.root, 0)
+        self._with_calls()
         if self.in_c:
             self._from_c()
         called = [one["name"] for one in self.data] + [one.name for one in self.functions]
@@ -184,7 +189,10 @@ class _Chart:
                     raise NotTranslated(f"{parent.name}: a history junction is not translated")
                 self.junctions.add(part["id"])
             elif part["tag"] == "event":
-                raise NotTranslated(f"the event {part['name']} is not translated")
+                name = values.get("name", part["name"])
+                if (values.get("scope"), values.get("trigger")) != ("OUTPUT_EVENT", "FUNCTION_CALL_EVENT"):
+                    raise NotTranslated(f"the event {name} is not translated")
+                self.calls.append(name)
             elif part["tag"] == "data":
                 (parent.data if parent in self.functions else self.data).append(part)
         if parent in self.functions:
@@ -221,6 +229,19 @@ class _Chart:
         parent.children.append(made)
         self.states[made.id] = made
         self._read(part, made, depth + 1)
+
+    def _with_calls(self) -> None:
+        """Write a call of a subsystem as an assignment."""
+        if not self.calls:
+            return
+        self.notes.append(f"{', '.join(self.calls)}: what is called acts once in a tick, after the chart")
+        names = "|".join(self.calls)
+        call = re.compile(rf"\bsend\s*\(\s*({names})\s*\)|(?<![\w.])({names})(?:\s*\(\s*\))?(?=\s*(?:[;,\n]|$))")
+        made = partial(call.sub, lambda found: f"{found[1] or found[2]} = true")
+        for way in self._ways():
+            way.action, way.at_end = made(way.action), made(way.at_end)
+        for state in self.states.values():
+            state.actions = {name: made(text) for name, text in state.actions.items()}
 
     def _from_c(self) -> None:
         """Write conditions and actions in C as in MATLAB's language."""
@@ -267,6 +288,10 @@ class _Chart:
                 known[name] = number(known[name])
             elif scope != "INPUT_DATA":
                 raise NotTranslated(f"the data {name} with {scope} is not translated")
+        for name in self.calls:
+            kept.append(name)
+            afresh.append(name)
+            declared[name], known[f"initial_{name}"] = "bool", np.zeros((1, 1), bool)
         if missing := [name for name in outputs if name not in kept]:
             raise NotTranslated(f"the output {missing[0]} is not in the chart's data")
         step = self._block(lambda: self._children_act(self.root))
@@ -705,7 +730,7 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
             raise NotTranslated("its code is not in the file")
         blocks = [] if c.block.system is None else list(c.block.system.blocks.values())
         inputs, outputs = (
-            [collapsed(one.name) for one in sorted((b for b in blocks if b.type == kind), key=port_number)]
+            [collapsed(one.name).removesuffix("()") for one in sorted((b for b in blocks if b.type == kind), key=port_number)]
             for kind in ("Inport", "Outport")
         )
         if blocks and not outputs:

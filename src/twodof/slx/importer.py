@@ -31,6 +31,7 @@ from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
+from twodof.slx.matlab.function_block import last_index
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.script import run
 from twodof.slx.matlab.values import NotComputed, Value, as_array, number
@@ -40,6 +41,7 @@ from twodof.slx.model import (
     Model,
     Pin,
     SimulinkBlock,
+    SimulinkChart,
     System,
     below,
     collapsed,
@@ -599,7 +601,11 @@ class _Import(Wiring):
         def translate() -> None:
             if rule is None:
                 raise NotTranslated(self._foreign(block))
-            inputs = [self._type(path, pin) or Signal() for pin in self._inputs(key)]
+            pins = self._inputs(key)
+            loose = [pin.number for pin in pins if self._origin(path, pin) is None]
+            inputs = [
+                self._undriven(code, pin) if pin.number in loose else self._type(path, pin) or Signal() for pin in pins
+            ]
             values = self._values(key)
             labels = [self._label(path, pin) for pin in self._inputs(key)]
             if self._backwards(key) and (wanted := self._wanted(key) or self.taken.get(key)):
@@ -607,7 +613,6 @@ class _Import(Wiring):
             dt = self.dt * self.rates.get(key, BASE).divider
             real = [replace(one, kind="real") if one.kind == "float32" else one for one in inputs]
             taken = inputs if block.type in ROUTES else real
-            loose = [pin.number for pin in self._inputs(key) if self._origin(path, pin) is None]
             names = self.sheets[path].names
             asked = Asked(block, path, values, names, [*taken], dt, labels, loose=loose, folders=self.folders)
             made = carried_out(asked, rule)
@@ -622,6 +627,11 @@ class _Import(Wiring):
             self.approximated.setdefault(key, []).extend(notes)
 
         self._try(key, translate)
+
+    def _undriven(self, code: SimulinkChart | None, pin: Pin) -> Signal:
+        """Return the type of an input without a known one: as wide as a MATLAB Function's indices reach."""
+        width = last_index(code.text, pin.number, self.folders) if code is not None and code.function else 1
+        return Signal(width=width if width > 1 else None)
 
     def _foreign(self, block: SimulinkBlock) -> str:
         """Return why a block has no rule: of a function in another language with the file that has its code."""

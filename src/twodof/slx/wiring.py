@@ -5,12 +5,15 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.library import Constant, DataStore, Logic, Merge, StoreRead, ZeroOrderHold
 from twodof.slx.conditions import Activation, ControlEdge
 from twodof.slx.connections import PASSING, Connections, Output, store_name
+from twodof.slx.data_types import signal_of, value_of
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number
@@ -112,7 +115,15 @@ class Wiring(Connections):
             if isinstance(item, Diagram) and (inner, port) in self.beyond:
                 diagram.connect(self._name(path, self.beyond[inner, port], names, diagram), f"{name}.{port}")
                 continue
-            source = self._name(path, self._source(path, pin), names, diagram)
+            driver = self._source(path, pin)
+            declared = item.inputs.values() if isinstance(item, Diagram) else item.inputs
+            wanted = next((one for one in declared if one.name == port), None) if driver is None else None
+            if wanted is not None and isinstance(wanted.kind, str) and (wanted.kind, wanted.width) != ("real", None):
+                start = value_of(np.zeros((1, 1)), signal_of(wanted))
+                zero = Constant(start, wanted.kind, wanted.width, shape=wanted.shape)
+                diagram.connect(f"{diagram.add(f'{name}_{port}_ground', zero)}.y", f"{name}.{port}")
+                continue
+            source = self._name(path, driver, names, diagram)
             signal = self._type(path, pin) or Signal()
             if made.expand and width is not None and signal.width is None:
                 source = expanded(diagram, source, signal, width)
