@@ -26,7 +26,6 @@ from twodof.slx.translation import (
     Made,
     NotTranslated,
     Rule,
-    Signal,
     each,
     of_elements,
     passes,
@@ -213,7 +212,7 @@ def _truth(c: Asked, of: Callable[..., Any], block: Any = None) -> Made:
     said = c.text("OutDataTypeStr", "boolean")
     kind = "bool" if said.startswith("Inherit") else str(_kind(c, said))
     if kind == "bool" and block is not None:
-        return Made(block(), [Signal("bool", c.width)])
+        return Made(block())
     return formula(c, lambda t, *v: convert(of(*map(exact(c), v)), kind), kind)
 
 

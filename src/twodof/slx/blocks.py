@@ -87,11 +87,11 @@ def _constant(c: Asked) -> Made:
     if not kind:
         raise NotTranslated(f"a constant of type {value.dtype.name} is not translated")
     if value.size == 1:
-        return Made(Constant(plain(value.flat[0], kind), kind), [Signal(kind)])
+        return Made(Constant(plain(value.flat[0], kind), kind))
     if 1 not in value.shape:
         signal = sized(kind, list(value.shape))
         return Made(Constant(value_of(value, signal), kind, shape=signal.shape), [signal])
-    return Made(Constant([plain(v, kind) for v in value.flatten()], kind, value.size), [Signal(kind, value.size)])
+    return Made(Constant([plain(v, kind) for v in value.flatten()], kind, value.size))
 
 
 def _gain(c: Asked) -> Made:
@@ -122,7 +122,7 @@ def _sum(c: Asked) -> Made:
             return of_elements(replace(c, values={**c.values, "Inputs": terms * c.width}), _sum)
         if terms == "-":
             raise NotTranslated("a sum of elements with a minus is not translated")
-        return Made(SumOfElements(c.width), [Signal()])
+        return Made(SumOfElements(c.width))
     made = whole_sum(c, terms)
     if made is None and len(terms) > 2 and terms[0] == "-" and "+" in terms:
         return formula(c, lambda t, *v: signed_sum(terms, *v))
@@ -152,9 +152,9 @@ def _mux(c: Asked) -> Made:
     if len(widths) == 1:
         return Made(ZeroOrderHold(kind, widths[0]), [Signal(kind, widths[0])])
     if None not in widths:
-        return Made(Concatenate([width or 1 for width in widths], kind), [total], expand=False)
+        return Made(Concatenate([width or 1 for width in widths], kind), [total])
     if not any(widths):
-        return Made(Mux(len(widths), kind), [total], expand=False)
+        return Made(Mux(len(widths), kind), [total])
     d, elements = Diagram("mux"), list[str]()
     for k, width in enumerate(widths, start=1):
         d.input(f"u{k}", kind, width)
@@ -165,7 +165,7 @@ def _mux(c: Asked) -> Made:
         elements += [f"split{k}.{name}" for name in port_series(width)]
     d.add("y", Mux(len(elements), kind), inputs=dict(zip(port_series(len(elements)), elements, strict=True)))
     d.output("y", "y")
-    return Made(d, [total], expand=False)
+    return Made(d, [total])
 
 
 def _demux(c: Asked) -> Made:
@@ -182,7 +182,7 @@ def _demux(c: Asked) -> Made:
     if c.inputs[0].width is None:
         return passes(c)
     if all(size == 1 for size in sizes) and width > 1:
-        return Made(Demux(width, kind), [Signal(kind)] * width)
+        return Made(Demux(width, kind))
     d, first = Diagram("demux"), 0
     d.input("u", kind, width)
     for k, size in enumerate(sizes):
@@ -245,7 +245,7 @@ def _switch(c: Asked) -> Made:
     chosen = {port: expanded(d, name, one, width, kind) for port, name, one in (("a", "u1", first), ("b", "u3", third))}
     d.add("y", Switch(kind, width), inputs={"condition": condition, **chosen})
     d.output("y", "y")
-    return Made(d, [Signal(kind, width)], expand=False)
+    return Made(d, [Signal(kind, width)])
 
 
 def _function(c: Asked) -> Made:
@@ -321,7 +321,7 @@ def _logic(c: Asked) -> Made:
     said = c.text("OutDataTypeStr", "boolean")
     kind = "bool" if said.startswith("Inherit") else str(kind_of(said, c.names)).replace("float32", "real")
     if all(flags) and kind == "bool":
-        return Made(logic, [Signal("bool", c.width)])
+        return Made(logic)
     # a number is true unless it is 0
 
     def of(t: Any, *u: Any) -> Any:
@@ -332,7 +332,7 @@ def _logic(c: Asked) -> Made:
 
 def _dot(c: Asked) -> Made:
     c.kind("real")
-    return Made(DotProduct(c.width), [Signal()]) if c.width else Made(Product("**"), [Signal()])
+    return Made(DotProduct(c.width) if c.width else Product("**"))
 
 
 def _dropped(c: Asked) -> Made:
@@ -371,7 +371,7 @@ RULES: dict[str, Rule] = {
     "Signum": lambda c: same(c, Sign(c.kind("real"), c.width)),
     "Sum": _sum,
     "Switch": _switch,
-    "Width": lambda c: Made(Constant(float(c.inputs[0].width or 1)), [Signal()]),
+    "Width": lambda c: Made(Constant(float(c.inputs[0].width or 1))),
     "UnaryMinus": lambda c: whole(c, operator.neg) or same(c, Sum("-", "real", c.width)),
     "ZeroOrderHold": holds,
     **dict.fromkeys(DROPPED, _dropped),
@@ -435,7 +435,7 @@ def _of_columns(c: Asked, rule: Rule) -> Made:
     vector = d.add("vector", Reshape(one.shape, size, one.number), u="u")
     d.add("of", made.item, inputs={names_of(made.item)[0]: vector})
     d.output("y", d.add("y", Reshape(size, one.shape, one.number), u=f"of.{names_of(made.item, outputs=True)[0]}"))
-    return Made(d, [one], expand=False)
+    return Made(d, [one])
 
 
 def _of_vectors(c: Asked, rule: Rule) -> Made:
@@ -461,7 +461,7 @@ def _of_vectors(c: Asked, rule: Rule) -> Made:
     d.add("of", made.item, inputs=dict(zip(names_of(made.item), sources, strict=True)))
     for k, name in enumerate(names_of(made.item, outputs=True), start=1):
         d.output(f"y{k}", f"of.{name}")
-    return Made(d, made.outputs, expand=False)
+    return Made(d, made.outputs)
 
 
 INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum", "Product"), 2)}

@@ -754,6 +754,6 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
         _check_overflow(chart, item)
         c.notes += item.notes
         ports = [replace(one, kind=item.buses.get(one.name, one.kind)) for one in grouped(item.outputs)]
-        return Made(item, [Signal(port.kind, port.width, port.shape) for port in ports], expand=False)
+        return Made(item, [Signal(port.kind, port.width, port.shape) for port in ports])
 
     return made

@@ -89,8 +89,7 @@ _KINDS: dict[type, str] = {float: "real", bool: "bool", int: "int32"}
 
 def formula(c: Asked, of: Callable[..., Any], kind: str = "real", **states: tuple[Any, Next]) -> Made:
     """Return the block of a formula with as many inputs as the Simulink block has."""
-    output = Signal(kind, c.width)
-    return Made(Formula(of, c.inputs, output, states), [output])
+    return Made(Formula(of, c.inputs, Signal(kind, c.width), states))
 
 
 def _within(low: Any, high: Any, value: Any, below: Any, above: Any) -> Any:
@@ -307,7 +306,7 @@ def _noise(block: Callable[..., Block], seed: tuple[str, str], *given: tuple[str
         stream = zlib.crc32(f"{c.path}/{c.block.name}".encode())  # one of its own for each block
         if (variance := c.scalar(*given[0])) < 0.0 and "Variance" in given[0]:
             raise NotTranslated(f"Variance = {variance:g} is negative")
-        return Made(block(*of(*(c.scalar(*one) for one in given)), int(c.scalar(*seed)) % 2**32, stream), [Signal()])
+        return Made(block(*of(*(c.scalar(*one) for one in given)), int(c.scalar(*seed)) % 2**32, stream))
 
     return each(rule, seed[0], *(name for name, _ in given))
 
@@ -347,7 +346,7 @@ def _multiport(c: Asked) -> Made:
         d.input(f"u{k}", one.kind, one.width)
         d.connect(expanded(d, f"u{k}", one, c.width, kind), f"y.{name}")
     d.output("y", "y")
-    return Made(d, [Signal(kind, c.width)], expand=False)
+    return Made(d, [Signal(kind, c.width)])
 
 
 _ORDERS = {"One-based contiguous": 1, "Zero-based contiguous": 0, "Specify indices": 0}
@@ -479,12 +478,12 @@ def _table(c: Asked, points: list[list[float]], table: list[float], method: str,
         raise NotTranslated("a table of a vector is not translated")
     d, block = Diagram("table"), LookupTable(points, [float(v) for v in table], method, clip, *even)
     if all(one.kind == "real" for one in c.inputs):
-        return Made(block, [Signal()])
+        return Made(block)
     if c.inputs[0].kind != "real" and c.text("OutDataTypeStr", "Inherit: Same as first input") not in _REALS:
         raise NotTranslated(f"a table of {c.inputs[0]} whose output is not double is not translated")
     sources = [expanded(d, d.input(f"u{k}", one.kind), one, None, "real") for k, one in enumerate(c.inputs, start=1)]
     d.output("y", d.add("y", block, inputs=dict(zip(names_of(block), sources, strict=True))))
-    return Made(d, [Signal()], expand=False)
+    return Made(d, [Signal()])
 
 
 def _expression(c: Asked) -> Made:
@@ -497,7 +496,7 @@ def _expression(c: Asked) -> Made:
     item = MatlabFunction(
         f"function y = f({', '.join(['u', *known])})\ny = {text};", c.inputs[:1], c.names, folders=c.folders
     )
-    return Made(item, [Signal("real", item.outputs[0].width)], expand=False)
+    return Made(item)
 
 
 def _one_input(of: Callable[..., Any]) -> Rule:
@@ -515,7 +514,7 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Counter Free-Running": _counter,
     "Counter Limited": _counter,
     "Dead Zone Dynamic": _one_input(lambda up, u, low: where(u > up, u - up, where(u < low, u - low, 0.0))),
-    "Degrees to Radians": lambda c: Made(Gain(math.pi / 180.0, c.width), [Signal("real", c.width)]),
+    "Degrees to Radians": lambda c: Made(Gain(math.pi / 180.0, c.width)),
     "Derivative": _derivative,
     "Detect Change": _detect(lambda u, x: u != x),
     "Detect Decrease": _detect(lambda u, x: u < x),
@@ -535,9 +534,9 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "LookupNDDirect": _direct_lookup,
     "MATLABFcn": _expression,
     "MultiPortSwitch": _multiport,
-    "Polyval": lambda c: Made(Polynomial(c.value("coefs", "[1 2 3]").flatten().tolist()), [Signal()]),
+    "Polyval": lambda c: Made(Polynomial(c.value("coefs", "[1 2 3]").flatten().tolist())),
     "Quantizer": each(_quantizer, "QuantizationInterval"),
-    "Radians to Degrees": lambda c: Made(Gain(180.0 / math.pi, c.width), [Signal("real", c.width)]),
+    "Radians to Degrees": lambda c: Made(Gain(180.0 / math.pi, c.width)),
     "Ramp": lambda c: row(
         Ramp, ("start", "0"), ("slope", "1"), ("InitialOutput" if "InitialOutput" in c.values else "X0", "0")
     )(c),
@@ -549,7 +548,7 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "SignalConversion": passes,
     "SignalGenerator": _generator,
     "Sin": each(_sine, "Amplitude", "Bias", "Frequency", "Phase"),
-    "Slider Gain": lambda c: Made(Gain(c.scalar("gain", "1"), c.width), [Signal("real", c.width)]),
+    "Slider Gain": lambda c: Made(Gain(c.scalar("gain", "1"), c.width)),
     "Transfer Fcn First Order": _pole,
     "Transfer Fcn Lead or Lag": _pole,
     "Transfer Fcn Real Zero": _pole,

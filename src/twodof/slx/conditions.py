@@ -150,7 +150,7 @@ def _chosen(d: Diagram, choice: FirstTrue | CaseChoice, inputs: Mapping[str, str
     shown = [*choice.names, *(["otherwise"] if otherwise else [])]
     for name in shown:
         d.output(name, f"choice.{name}")
-    return Made(d, [Signal("bool")] * len(shown), expand=False)
+    return Made(d, [Signal("bool")] * len(shown))
 
 
 def _merge(c: Asked) -> Made:
@@ -162,13 +162,13 @@ def _merge(c: Asked) -> Made:
     start = c.value("InitialOutput", "[]")
     values = [plain(v, one.kind) for v in start.flatten()] or [plain(0, one.kind)]
     initial = values[0] if len(values) == 1 else values
-    return Made(Merge(len(c.inputs), initial, one.kind, one.width), [one], expand=False)
+    return Made(Merge(len(c.inputs), initial, one.kind, one.width), [one])
 
 
 def _called(c: Asked) -> Made:
     if c.text("numberOfIterations", "1") not in ("1", ""):
         raise NotTranslated("numberOfIterations other than 1 is not translated")
-    return Made(Constant(np.True_.item(), "bool"), [Signal("bool")])
+    return Made(Constant(np.True_.item(), "bool"))
 
 
 CONDITION_RULES: dict[str, Rule] = {

@@ -150,7 +150,7 @@ def _creator(c: Asked) -> Made:
         for k, (port, one) in enumerate(zip(bus.fields, c.inputs, strict=True)):
             if k + 1 not in c.loose and not signal_of(port).like(one):
                 raise NotTranslated(f"the element {port.name} is {signal_of(port)} and the input {k + 1} {one}")
-    return Made(BusCreate(bus), [Signal(bus)], expand=False)
+    return Made(BusCreate(bus), [Signal(bus)])
 
 
 def _fields(c: Asked, parameter: str, bus: Bus) -> dict[str, Signal]:
@@ -174,7 +174,7 @@ def _selector(c: Asked) -> Made:
     fields = _fields(c, "OutputSignals", bus)
     select = BusSelect(bus, list(fields))
     if c.text("OutputAsBus", "off") != "on":
-        return Made(select, list(fields.values()), expand=False)
+        return Made(select, list(fields.values()))
     made = Bus("bus", [one.port(path.rpartition(".")[2]) for path, one in fields.items()])
     d = Diagram("selected")
     d.input("bus", bus)
@@ -183,7 +183,7 @@ def _selector(c: Asked) -> Made:
     for path, port in zip(fields, made.fields, strict=True):
         d.connect(f"fields.{path.replace('.', '_')}", f"y.{port.name}")
     d.output("y", "y")
-    return Made(d, [Signal(made)], expand=False)
+    return Made(d, [Signal(made)])
 
 
 def _assignment(c: Asked) -> Made:
@@ -192,7 +192,7 @@ def _assignment(c: Asked) -> Made:
     for k, ((path, wanted), one) in enumerate(zip(fields.items(), c.inputs[1:], strict=False), start=2):
         if k not in c.loose and not wanted.like(one):
             raise NotTranslated(f"the element {path} is {wanted} and its input {one}")
-    return Made(BusAssign(bus, list(fields)), [Signal(bus)], expand=False)
+    return Made(BusAssign(bus, list(fields)), [Signal(bus)])
 
 
 def _only_bus(c: Asked) -> Bus:

@@ -142,7 +142,7 @@ def _delay(c: Asked) -> Made:
         y = f"{inner.add('y', first, u1=y, u2=x0, u3=n)}.y"
     inner.output("y", y)
     d.output("y", d.add("inside", inner, inputs={name: name for name in names if name != "reset"}, reset=reset))
-    return Made(d, [signal], expand=False)
+    return Made(d, [signal])
 
 
 class StartsWithOutput(Block):
@@ -223,7 +223,7 @@ def _whole_accumulator(c: Asked, gain: float) -> Made:
     clear = f"{_clears(d, control, edge)}.y" if edge else d.add("never", Constant(False, "bool"))
     clear = expanded(d, clear, Signal("bool"), one.width)
     d.output("y", d.add("y", item, u1="u", u2=clear))
-    return Made(d, [signal], expand=False)
+    return Made(d, [signal])
 
 
 def _integral(c: Asked, integrator: Callable[[Any, Any, bool, int | None], Item], scale: float = 1.0) -> Made:
@@ -261,7 +261,7 @@ def _integral(c: Asked, integrator: Callable[[Any, Any, bool, int | None], Item]
         least, most = limits or [-math.inf, math.inf]
         limit = Formula(lambda t, y: where(y >= most, 1.0, where(y <= least, -1.0, 0.0)), [signal], signal)
         d.output("limited", d.add("limit", limit, u1="integrator.y"))
-    return Made(d, [signal] * (1 + shown), expand=False)
+    return Made(d, [signal] * (1 + shown))
 
 
 def _edge(c: Asked) -> str:
@@ -477,8 +477,8 @@ def _transfer(c: Asked) -> Made:
     while len(bottom) > 1 and bottom[0] == 0.0:
         bottom = bottom[1:]
     if len(bottom) == 1 and len(top) == 1:
-        return Made(Gain(top[0] / bottom[0]), [Signal()])
-    return Made(TransferFunction(top, bottom), [Signal()])
+        return Made(Gain(top[0] / bottom[0]))
+    return Made(TransferFunction(top, bottom))
 
 
 def _filter(c: Asked) -> Made:
@@ -537,7 +537,7 @@ def _filter(c: Asked) -> Made:
     }
     block = Formula(lambda t, *v: computed(*v)[0], [Signal()] * len(sources), Signal(), states)
     d.output("y", d.add("y", block, inputs={f"u{k}": one for k, one in enumerate(sources, start=1)}))
-    return Made(d, [Signal()], expand=False) if not edge else _resettable(c, d, edge)
+    return Made(d, [Signal()]) if not edge else _resettable(c, d, edge)
 
 
 def _filters(c: Asked) -> Made:
@@ -565,7 +565,7 @@ def _resettable(c: Asked, item: Item, edge: str) -> Made:
     inner.output("y", inner.add("block", item, inputs={name: name for name in names}))
     d.add("inside", inner, inputs={name: name for name in names}, reset=f"{_clears(d, c.inputs[-1], edge)}.y")
     d.output("y", "inside")
-    return Made(d, [c.inputs[0]], expand=False)
+    return Made(d, [c.inputs[0]])
 
 
 def _transport_delay(c: Asked) -> Made:
@@ -574,7 +574,7 @@ def _transport_delay(c: Asked) -> Made:
     c.notes.append(f"{time:g} s: {samples} of the period's samples")
     if samples == 0:
         return passes(c)
-    return Made(Delay(samples, None, c.scalar("InitialOutput", "0")), [Signal()])
+    return Made(Delay(samples, None, c.scalar("InitialOutput", "0")))
 
 
 def _integrator(c: Asked) -> Made:
@@ -629,7 +629,7 @@ def _relay(c: Asked) -> Made:
     one, said = c.inputs[0], c.text("OutDataTypeStr", "Inherit: All ports same datatype")
     kind = str(one.number if said.startswith("Inherit") else kind_of(said, c.names)).replace("float32", "real")
     if one.number == kind == "real":
-        return Made(Relay(on_at, off_at, high, low), [Signal()])
+        return Made(Relay(on_at, off_at, high, low))
     if one.number != "real":  # the numbers have the input's type
         on_at, off_at = (math.floor(at + 0.5) for at in (on_at, off_at))
 

@@ -698,7 +698,7 @@ class _Import(Wiring):
         d.add("late", late, u="held")
         d.add("y", ZeroOrderHold(one.kind, one.width), rate=self.rates.get(key, BASE), u="late")
         d.output("y", "y")
-        return Made(d, [one], expand=False)
+        return Made(d, [one])
 
 
 def _single(signal: Signal) -> Signal:

@@ -12,7 +12,6 @@ import numpy as np
 
 from twodof.blocks.bus import Bus
 from twodof.blocks.expressions.numbers import KINDS
-from twodof.slx.data_types import signal_of
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.values import Value
 from twodof.slx.translation import Asked, Made, NotTranslated, signs
@@ -36,7 +35,7 @@ def matrix(c: Asked, line: Line) -> Made:
     names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
     code = f"function y = f({', '.join([*names, *values])})\n{text}"
     item = MatlabFunction(code, c.inputs, values, names)
-    return Made(item, [signal_of(port) for port in item.outputs], expand=False)
+    return Made(item)
 
 
 def _sum(c: Asked) -> tuple[str, dict[str, Value]]:

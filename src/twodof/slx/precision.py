@@ -91,13 +91,13 @@ def precise(c: Asked, made: Made, inputs: Sequence[Signal]) -> Made:
     if alike and all(one.kind != "real" for one in (*data, *outputs)):
         narrowed = InSingle(made.item) if lines and isinstance(made.item, Block) else _narrowed(made.item)
         if narrowed is not None:
-            made = Made(narrowed, outputs, made.expand)
+            made = Made(narrowed, outputs)
             if all(one.kind != "real" for one in inputs):
                 return made
-            return Made(_converted(made, inputs, outputs, "float32"), outputs, expand=False)
+            return Made(_converted(made, inputs, outputs, "float32"), outputs)
     if made.outputs == outputs and all(one.kind != "float32" for one in inputs):
         return made
-    return Made(_converted(made, inputs, outputs), outputs, expand=False)
+    return Made(_converted(made, inputs, outputs), outputs)
 
 
 def _narrowed(item: Item) -> Item | None:
@@ -125,7 +125,6 @@ def _converted(made: Made, inputs: Sequence[Signal], outputs: Sequence[Signal], 
     d, item = Diagram("precise"), made.item
     assert item is not None
     ports = list(item.inputs) if isinstance(item, Block) else list(item.inputs.values())
-    width = next((port.width for port in ports if port.width is not None), None)
     sources = {}
     if len(ports) != len(inputs):
         raise NotTranslated(f"{len(inputs)} inputs of single and double among {len(ports)} are not translated")
@@ -136,7 +135,7 @@ def _converted(made: Made, inputs: Sequence[Signal], outputs: Sequence[Signal], 
         if one.kind in ("real", "float32") and one.kind != kind:
             source = f"{d.add(f'as{k}', _conversion(one, kind), u1=source)}.y"
             one = replace(one, kind=kind)
-        sources[port.name] = expanded(d, source, one, width) if made.expand else source
+        sources[port.name] = expanded(d, source, one, port.width if one.width is None else None)
     d.add("of", item, inputs=sources)
     for k, (name, before, after) in enumerate(
         zip(names_of(item, outputs=True), made.outputs, outputs, strict=True), start=1

@@ -26,7 +26,7 @@ def _function(c: Asked, code: str, constants: Mapping[str, Any] | None = None) -
         item = MatlabFunction(code, c.inputs, constants)
     except DiagramError as reason:
         raise NotTranslated(reason.what) from None
-    return Made(item, [Signal(one.kind, one.width, one.shape) for one in item.outputs], expand=False)
+    return Made(item)
 
 
 def _median(c: Asked) -> Made:
@@ -213,7 +213,7 @@ def _transformed(*each: Callable[..., Any], **only: str) -> Rule:
         for k, of in enumerate(each, start=1):
             item = Formula(lambda t, *u, of=of: of(*u), c.inputs, Signal())
             d.output(f"y{k}", f"{d.add(f'of{k}', item, inputs=sources)}.y")
-        return Made(d, [Signal()] * len(each), expand=False)
+        return Made(d, [Signal()] * len(each))
 
     return rule
 

@@ -138,9 +138,12 @@ class Made:
     """The translation of a block: None where it only passes its inputs on, or is dropped."""
 
     item: Item | None
-    outputs: list[Signal]
-    expand: bool = True
-    """Whether a scalar at an input is expanded to the others' width."""
+    outputs: list[Signal] = field(default_factory=list)
+    """Those of a block are of its ports where nothing else is said."""
+
+    def __post_init__(self) -> None:
+        if not self.outputs and isinstance(self.item, LibraryBlock):
+            self.outputs = [Signal(one.kind, one.width, one.shape) for one in self.item.outputs]
 
 
 Rule = Callable[[Asked], Made]
@@ -217,7 +220,7 @@ def each(rule: Rule, *parameters: str, wide: bool = False) -> Rule:
             y[name] = f"of_{name}.{names_of(one_of, outputs=True)[0]}"
         d.add("y", Mux(width, output.number), inputs=y)
         d.output("y", "y")
-        return Made(d, [replace(output, width=width)], expand=False)
+        return Made(d, [replace(output, width=width)])
 
     return of_all
 
@@ -228,7 +231,7 @@ def row(block: Callable[..., LibraryBlock], *given: tuple[str, str]) -> Rule:
     def rule(c: Asked) -> Made:
         if c.inputs:
             c.kind("real")
-        return Made(block(*(c.scalar(*one) for one in given)), [Signal()])
+        return Made(block(*(c.scalar(*one) for one in given)))
 
     return each(rule, *(name for name, _ in given))
 

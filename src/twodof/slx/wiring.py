@@ -17,7 +17,7 @@ from twodof.slx.data_types import signal_of, value_of
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number
-from twodof.slx.translation import Made, NotTranslated, Signal, expanded, names_of, plain
+from twodof.slx.translation import NotTranslated, Signal, expanded, names_of, plain
 
 
 class Wiring(Connections):
@@ -92,7 +92,6 @@ class Wiring(Connections):
         if name not in diagram.parts:
             return
         item = diagram.parts[name].item
-        made = self.made.get((path, sid), Made(None, []))
         if isinstance(item, StoreRead):  # the store feeds it
             return
         if isinstance(item, DataStore):  # and a StoreWrite that one, if there is any
@@ -106,9 +105,7 @@ class Wiring(Connections):
             for letter, pin in zip(item.names, self._inputs((path, sid)), strict=True):
                 diagram.connect(self._acts(path, pin), f"{name}.{letter}_acts")
             ports = list(item.names)
-        width = None
-        if made.expand and made.item is not None and made.outputs and not isinstance(item, Diagram):
-            width = next((port.width for port in item.inputs if port.width is not None and "." not in port.name), None)
+        widths = {} if isinstance(item, Diagram) else {port.name: port.width for port in item.inputs}
         for k, port in enumerate(ports):
             pin = Pin(sid, "in", k + 1)
             inner = below(path, block)
@@ -125,8 +122,8 @@ class Wiring(Connections):
                 continue
             source = self._name(path, driver, names, diagram)
             signal = self._type(path, pin) or Signal()
-            if made.expand and width is not None and signal.width is None:
-                source = expanded(diagram, source, signal, width)
+            if signal.width is None:
+                source = expanded(diagram, source, signal, widths.get(port))
             source = self._sampled(path, sid, pin, source)
             diagram.connect(source, f"{name}.{port}")
 
