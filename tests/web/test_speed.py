@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,10 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 from tests import toolchains
 from tests.lab.served import served
+from tests.lab.test_tuning_routes import MODEL
 from tests.patience import PATIENCE_S
 from tests.web.conftest import PROJECT, OpenPage, files_served
 from tests.web.lab_server import LabServer
@@ -27,6 +29,31 @@ pytestmark = pytest.mark.soak
 
 MEDIAN_MS, P99_MS = 50.0, 120.0
 """From the server's clock in a frame to the end of drawing it."""
+
+FOLLOWS_MS, FOLLOWS_LOAD = 100.0, 4.0
+"""From a slider's move to its predicted step, 95 % of the moves up to this load; at a higher one as much longer."""
+
+FOLLOW = """async ([count, pause]) => {
+  const input = [...document.querySelectorAll('input[type=range]')].find((one) =>
+    one.labels[0].textContent.startsWith('ATT_KP'));
+  const plot = () => document.querySelector('[data-plot]')?.textContent;
+  const shown = () => Number(/predicted ATT_KP ([\\d.]+)/.exec(plot())?.[1]);
+  const moved = [], times = [];
+  const look = (now) => {
+    const place = moved.findIndex((one) => Math.abs(one.value - shown()) < 1e-6);
+    for (const one of moved.splice(0, place + 1)) times.push(performance.now() - one.at);
+    if (times.length < count) requestAnimationFrame(look);
+  };
+  requestAnimationFrame(look);
+  for (let k = 0; k < count; k += 1) {
+    input.value = 4 + 0.075 * k;
+    moved.push({ value: Number(input.value), at: performance.now() });
+    input.dispatchEvent(new Event('input', { bubbles: true }));
+    await new Promise((done) => setTimeout(done, pause));
+  }
+  while (times.length < count) await new Promise((done) => setTimeout(done, pause));
+  return times.sort((a, b) => a - b);
+}"""
 
 SIMULATED_MS = 1000.0
 """From a change of a diagram to its simulated flight, also where the server compiles it anew."""
@@ -147,6 +174,24 @@ def test_the_first_view_comes_soon(lab_server: LabServer, open_page: OpenPage, b
     listed = ", ".join(f"{time:.0f}" for time in times)
     tell(f"first rows drawn {times[2]:.0f} ms after the link was opened (of {listed}), {used:.0f} ms of processor")
     assert times[2] < FIRST_VIEW_MS
+
+
+def test_the_prediction_follows_the_slider(lab_server: LabServer, open_page: OpenPage) -> None:
+    lab_server.call("PUT", "models/careful", MODEL)
+    page = open_page(f"{lab_server.link}#/tune", expects=("504",))
+    page.get_by_label("Model", exact=True).select_option("careful")
+    expect(page.get_by_text(re.compile(r"Stable, disk margin at least \d+ deg"))).to_be_visible()
+    page.evaluate(FOLLOW, [3, 500])  # the process that predicts has begun
+    found = {}
+    for how, count, pause in (("step by step", 40, 400), ("dragged", 80, 33)):
+        found[how], median = min(
+            (times[int(0.95 * count)], times[count // 2])
+            for times in (page.evaluate(FOLLOW, [count, pause]) for _ in range(2))  # whatever else the machine does
+        )
+        tell(f"prediction behind the slider, {how}: median {median:.0f} ms, 95 % {found[how]:.0f} ms")
+    page.goto("about:blank")  # nothing asks for the model any more
+    lab_server.call("DELETE", "models/careful")
+    assert max(found.values()) < FOLLOWS_MS * max(1.0, os.getloadavg()[0] / FOLLOWS_LOAD)
 
 
 def test_a_changed_diagram_is_simulated_within_a_second(lab_server: LabServer, open_page: OpenPage) -> None:

@@ -11,7 +11,6 @@ import asyncio
 import re
 import resource
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from math import inf
 from typing import Any
@@ -35,7 +34,7 @@ MOST_PLACES = 2000
 """Most connections of one role; a web socket that hears telemetry has a place of its own."""
 OWN_FILES = 32
 """Files that the server keeps open for itself: drones, processes, recordings, files that it sends."""
-ACCEPTED_AT_ONCE, ENDED_AT_ONCE = 4, 32
+ACCEPTED_AT_ONCE, ENDED_AT_ONCE = 1, 32
 PIECE = 4096
 """Bytes read at once [byte]: none of them keeps the event loop for long."""
 READ_AT_ONCE, REST = 2, 16.0
@@ -91,7 +90,7 @@ class LabConfig(uvicorn.Config):
 
     def __init__(self, app: ASGIApp, places: Places, settings: LabSettings, **options: Any) -> None:
         self.places, self.settings = places, settings
-        self.lines = defaultdict[tuple[Role | None, bool], Turns](lambda: Turns(READ_AT_ONCE, 10_000, "server"))
+        self.lines = {role: Turns(READ_AT_ONCE, 10_000, "server") for role in (None, *Role)}
         super().__init__(app, http=HttpConnection, ws=SocketConnection, backlog=ACCEPTED_AT_ONCE, **options)
 
 
@@ -131,17 +130,16 @@ class PlacedConnection(asyncio.Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Read what a commanding client sends at once; let the data of all others wait in line."""
+        """Read at once what a commanding client sends, and a watcher's stop; let all else wait in line."""
         if self.role is None:
             found = _TOKEN.search(data) or _QUERY.match(data)
             self.prove(role_of(found[1].decode("latin-1") if found else "", self.config.settings))
-        if self.role is Role.COMMAND and not self._unread:
+        if not self._unread and (self.role is Role.COMMAND or (self.role is not None and _STOP.match(data))):
             self.take_in(data)
             return
         self.transport.pause_reading()
         if not self._unread:
-            line = self.config.lines[self.role, self.role is not None and _STOP.match(data) is not None]
-            self._reading = self.loop.create_task(self._read(line))
+            self._reading = self.loop.create_task(self._read(self.config.lines[self.role]))
         self._unread += data
 
     async def _read(self, line: Turns) -> None:
