@@ -312,7 +312,10 @@ def test_c_that_means_something_else_in_matlab_is_refused(tmp_path: Path, label:
 
 def test_whole_numbers_in_c_take_literals(tmp_path: Path) -> None:
     parts = (
-        state(1, "A\nentry: k = 3;") + state(2, "B") + way(11, None, 1) + way(12, 1, 2, "[k == 3 && u > 0]{k = 200;}")
+        state(1, "A\nentry: k = 3;")
+        + state(2, "B")
+        + way(11, None, 1)
+        + way(12, 1, 2, "[k == 3 && u > 0]{k = uint8(200);}")
     )
     found = chart(tmp_path, parts, data("k", "OUTPUT", "uint8"), settings=IN_C, outputs=("k",))
     assert flown(found, [0.0, 0, 1, 0])["y_k"].tolist() == [3, 3, 200, 200]

@@ -389,6 +389,17 @@ def test_what_is_left_out_or_approximated_is_noted() -> None:
     assert block.notes == ["the row y is a vector, which other MATLAB Functions see as a column"]
 
 
+def test_singles_of_a_bus_meet_doubles() -> None:
+    bus = Bus("B", [Port("s", "float32")])
+    block = MatlabFunction("function y = f(b, u)\ny = b.s * u;", [Signal(bus), Signal()])
+    d = Diagram("of")
+    d.input("b", bus)
+    d.input("u")
+    d.output("y", d.add("f", block, b="b", u="u"))
+    found = build(d, dt=1.0).machine().step({"b": {"s": np.float32(0.1)}, "u": 0.3})
+    assert found["y"] == float(np.float32(0.1)) * 0.3
+
+
 def test_wrapped_angles_keep_the_sign_of_their_bound() -> None:
     given = np.array([0.0, -0.0, 90.0, 180.0, -180.0, 181.0, 360.0, -360.0, 540.0, -540.0, 720.0, -1.0, np.nan])
     inputs = [np.resize(given, STEPS)]

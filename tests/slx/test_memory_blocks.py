@@ -153,6 +153,12 @@ def test_a_filter_of_a_vector_filters_each_element(tmp_path: Path) -> None:
     assert np.array_equal(run(tmp_path, "DiscreteFilter", values, [DRAWN.T.copy()])["y1"], np.array(alone).T)
 
 
+def test_a_table_of_a_vector_looks_up_each_element(tmp_path: Path) -> None:
+    values = {"InputValues": "[-2 0 3]", "Table": "[1 2.5 4]", "LookUpMeth": "Interpolation-Use End Values"}
+    found = run(tmp_path, "Lookup", values, [DRAWN.T])["y1"]
+    assert np.allclose(found, np.interp(DRAWN.T, [-2, 0, 3], [1, 2.5, 4]), rtol=1e-14)
+
+
 def test_a_flip_flop_follows_its_table(tmp_path: Path) -> None:
     values = {"SourceBlock": "simulink_extras/Flip Flops/S-R Flip-Flop", "initial_condition": "1"}
     s, r = DRAWN[0] > 1.0, DRAWN[1] > 1.0

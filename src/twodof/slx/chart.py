@@ -603,7 +603,9 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
     solid = [one for one in tokens if one.strip(" .\t\n") or one == "."]
     for k, (one, after) in enumerate(pairwise([*solid, ""])):
         before = solid[k - 1] if k else ""
-        if after == "(" and one.isidentifier() and one not in functions | _SAME_IN_C and before != ".":
+        literal = one in INTEGER_TYPES and re.fullmatch(r"\d+ \)", " ".join(solid[k + 2 : k + 4]))
+        known = functions | _SAME_IN_C | ({one} if literal else set())
+        if after == "(" and one.isidentifier() and one not in known and before != ".":
             raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
         if one in ("++", "--") and not before.isidentifier():
             raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
@@ -730,7 +732,10 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
             raise NotTranslated("its code is not in the file")
         blocks = [] if c.block.system is None else list(c.block.system.blocks.values())
         inputs, outputs = (
-            [collapsed(one.name).removesuffix("()") for one in sorted((b for b in blocks if b.type == kind), key=port_number)]
+            [
+                collapsed(one.name).removesuffix("()")
+                for one in sorted((b for b in blocks if b.type == kind), key=port_number)
+            ]
             for kind in ("Inport", "Outport")
         )
         if blocks and not outputs:

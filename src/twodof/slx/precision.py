@@ -11,6 +11,7 @@ from typing import Any, cast
 
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block, Clock
+from twodof.blocks.bus import grouped
 from twodof.blocks.elementwise import elementwise
 from twodof.blocks.expressions.expr import convert
 from twodof.slx.composite_blocks import Formula
@@ -124,7 +125,7 @@ def _converted(made: Made, inputs: Sequence[Signal], outputs: Sequence[Signal], 
     """Return a diagram that computes in `kind` with converted inputs, and rounds the results that are single."""
     d, item = Diagram("precise"), made.item
     assert item is not None
-    ports = list(item.inputs) if isinstance(item, Block) else list(item.inputs.values())
+    ports = grouped(item.inputs if isinstance(item, Block) else list(item.inputs.values()))
     sources = {}
     if len(ports) != len(inputs):
         raise NotTranslated(f"{len(inputs)} inputs of single and double among {len(ports)} are not translated")

@@ -17,7 +17,7 @@ from twodof.blocks.block import Block, Clock
 from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port, State
 from twodof.blocks.expressions.arrays import flat_of, shape_of, shaped, vector
-from twodof.blocks.expressions.expr import Expr, tracing
+from twodof.blocks.expressions.expr import Expr, convert, tracing
 from twodof.blocks.namespaces import BusView, Inputs, States
 from twodof.blocks.trace import leaves_of, matrices, with_matrices
 from twodof.errors import DiagramError
@@ -196,11 +196,19 @@ def last_index(text: str, argument: int, folders: Sequence[Path] = ()) -> int:
 def value_of(shown: Any) -> Value:
     """Return an input or a state as a value of MATLAB: a vector is a column, a bus a structure."""
     if isinstance(shown, BusView):
-        return {name: value_of(value) for name, value in vars(shown).items()}
+        return {name: _widened(value_of(value)) for name, value in vars(shown).items()}
     shape, flat = shape_of(shown), flat_of(shown)
     if not shape:
         return filled((1, 1), [flat])
     return filled((*shape, 1)[:2], (flat[k] for k in range(int(np.prod(shape)))))
+
+
+def _widened(value: Value) -> Value:
+    """Return a bus's element whose singles are reals, as all other numbers of a function are."""
+    if not isinstance(value, np.ndarray):
+        return value
+    elements = (convert(one, "real") if getattr(one, "kind", "") == "float32" else one for one in value.flatten("F"))
+    return filled(value.shape, elements)
 
 
 def _flat(names: Names) -> Names:
