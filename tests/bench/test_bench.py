@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.__main__ import BENCHMARKS, main
+from bench.__main__ import BENCHMARKS, RESULTS, main, markdown
 from bench.computing import closed_loop, greybox, start_up
 from bench.computing.closed_loop import AGREEMENT, CompiledLoop, numbered
 from bench.computing.hand_loop import HandLoop
@@ -109,8 +109,12 @@ def test_the_large_diagram_has_as_many_blocks_as_asked_for() -> None:
 @pytest.mark.long
 def test_a_benchmark_runs_and_writes_its_results(tmp_path: Path) -> None:
     assert main(["greybox", "--quick", "--out", str(tmp_path)]) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["greybox.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["greybox.json", "results.md"]
     assert json.loads((tmp_path / "greybox.json").read_text())["figures"]
+
+
+def test_the_page_of_results_says_what_the_files_beside_it_say() -> None:
+    assert (RESULTS / "results.md").read_text(encoding="utf-8") == markdown(RESULTS)
 
 
 @pytest.mark.soak
