@@ -33,6 +33,7 @@ PAGES = tuple(sorted(page for page in DOCS.rglob("*.md") if "<!-- made: " in pag
 SOURCE = DOCS.parent / "src" / "twodof"
 LAYERS = DOCS.parent / "tests" / "test_layers.py"
 FMEA = DOCS.parent / "tests" / "fmea" / "measured.csv"
+AT_A_STOP = 300  # as tests.fmea.fly has it [ms]
 PULSE = 0.1
 
 
@@ -210,8 +211,10 @@ def _fault(fault: str, lines: list[dict[str, str]]) -> str:
     impacts = ((most("impact_q"), "rad/s"), (most("impact_v"), "m/s"))
     impact = ", ".join(f"{speed:g} {unit}" for speed, unit in impacts if speed)
     on = f"{most('on_after_ms') / 1e3:.2f}" if most("on_after_ms") else ""
+    if most("on_after_ms") > AT_A_STOP:
+        on = f"**{on}**"
     if lines[0]["why"]:
-        fault, on = f"{fault}. *{lines[0]['why']}*", f"**{on}**" if on else ""
+        fault = f"{fault}. *{lines[0]['why']}*"
     worst = f"{most('theta'):.2f} | {most('x'):.3f} | {impact} | {on}"
     return f"| {fault} | {causes} | {after('first_ms')} | {ends} | {after('most_ms', last)} | {worst} |"
 

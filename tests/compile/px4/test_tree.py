@@ -50,6 +50,11 @@ def test_the_same_diagram_gives_the_same_bytes_in_another_process(tmp_path: Path
     assert on_disk(folder) == on_disk(GOLDEN / "pitch")
 
 
+@pytest.mark.parametrize("name", MODULES)
+def test_a_board_keeps_all_of_its_checks(name: str) -> None:
+    assert "CBRK_" not in MODULES[name]().files["sdcard/etc/config.txt"]
+
+
 def test_the_diagram_travels_with_the_module() -> None:
     again = make_module(from_json(make_module(pitch(), PITCH_LOG).files["diagram.json"]), PITCH_LOG)
     c = "src/modules/twodof_pitch/twodof_pitch.c"

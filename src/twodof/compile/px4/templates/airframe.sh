@@ -11,6 +11,9 @@
 . $${R}etc/init.d/rc.mc_defaults
 
 ${settings}
+# The simulator has no power supply that could be checked; a board has one, so config.txt leaves this out.
+param set-default CBRK_SUPPLY_CHK 894281
+
 # The motors' outputs.
 param set-default PWM_MAIN_FUNC1 101
 param set-default PWM_MAIN_FUNC2 102

@@ -24,8 +24,9 @@ param set-default EKF2_EV_CTRL 11
 param set-default EKF2_HGT_REF 3
 param set-default EKF2_EV_DELAY 0
 
-# On the rig nobody takes off or lands; the loss of Offboard with no remote control disarms.
+# On the rig nobody takes off or lands, and PX4 could take a flight for standing on the ground: no disarming for that.
 param set-default COM_DISARM_PRFLT -1
 param set-default COM_DISARM_LAND -1
-param set-default CBRK_SUPPLY_CHK 894281
+
+# The loss of Offboard with no remote control disarms.
 param set-default COM_OBL_RC_ACT 7
