@@ -83,6 +83,12 @@ def test_an_unstable_plant_needs_its_gain() -> None:
     assert not margins(loop([0.9], [1.0, -1.0])).stable
 
 
+def test_an_unstable_loop_prints_its_motion_and_no_margins() -> None:
+    """0.9 / (s - 1) closed has its pole at 0.1; 1 / (s^2 - 0.2 s + 3) closed swings at 2 rad/s."""
+    assert repr(margins(loop([0.9], [1.0, -1.0]))) == "<LoopMargins unstable: runs away, growing by a factor e in 10 s>"
+    assert repr(margins(loop([1.0], [1.0, -0.2, 3.0]))) == "<LoopMargins unstable: swings at 2 rad/s, growing>"
+
+
 def test_a_narrow_resonance_is_not_missed() -> None:
     """Peaks a ten-thousandth wide, between the points of any reasonable grid: two crossings."""
     slow = [1.0, 1e-4, 37.0**2]

@@ -106,6 +106,31 @@ def test_python_controls_margin_of_a_cascade_loop_is_ours(loop: str) -> None:
 
 
 @pytest.mark.long
+def test_python_control_draws_a_loop_and_its_closed_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    from matplotlib import pyplot as plt
+
+    loop = cascade_loop("rate").to_control()
+    closed = control.frd(control.feedback(loop), name="closed")  # feedback drops the name
+    for system, title in ((loop, "Bode plot for rate"), (closed, "Bode plot for closed")):
+        drawn = control.bode_plot(system)
+        assert drawn.figure.get_suptitle() == title
+        np.testing.assert_allclose(drawn.lines[0, 0][0].get_ydata(), np.abs(system.frdata[0, 0]))
+        plt.close("all")
+
+
+def test_names_go_to_python_control() -> None:
+    """Dots become `_`; `scaled` keeps the names, and `times` takes those of its ends."""
+    one, c, d = np.eye(1), np.ones((2, 1)), np.zeros((2, 1))
+    plant = LinearModel(one, one, c, d, 0.01, ("x",), ("M",), ("theta", "imu.q"), name="a.b")
+    loop = LoopTransfer.of(plant, "M", "imu.q")
+    for system in (loop.to_control(), loop.state_space(), LoopTransfer.of(loop, "M", "imu.q").scaled(2.0).to_control()):
+        assert (system.name, system.input_labels, system.output_labels) == ("a_b", ["M"], ["imu_q"])
+    product = LoopTransfer.of_gain(2.0, 0.01).times(loop).to_control()
+    assert (product.name, product.input_labels, product.output_labels) == ("loop", ["M"], ["y"])
+
+
+@pytest.mark.long
 def test_a_system_of_python_control_comes_back() -> None:
     """In both directions, with names and sample time; a continuous loop with a delay goes by its response."""
     system = control.ss([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], 0.5, 0.01, inputs=["M"], outputs=["q"])

@@ -140,7 +140,8 @@ def test_without_noise_the_structure_is_the_rig() -> None:
 
 def test_results_print_as_one_short_line(greybox: Estimate, pitch_records: tuple[Record, list[Record]]) -> None:
     flight = simulate("doublet", seed=3)
-    for one in (flight, flight.log, flight.log["q"], greybox, *greybox.identification, *pitch_records[1]):
+    shown = (flight, flight.log, flight.log["q"], greybox, greybox.linear(DT), *greybox.identification)
+    for one in (*shown, *pitch_records[1]):
         assert len(repr(one)) < 600, type(one)
         assert "\n" not in repr(one), type(one)
     assert repr(flight).startswith(

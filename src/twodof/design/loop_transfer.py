@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.compile.linear.linear_model import LinearModel, python_control
+from twodof.compile.linear.linear_model import LinearModel, python_control, without_dots
 from twodof.errors import ParameterError, nearest, shown
 from twodof.models.lti import DelayedStateSpace, SampledStateSpace
 
@@ -27,6 +27,8 @@ class LoopTransfer:
     sample time `dt` [s] it is C (z - A)^-1 B + D, and delays are states. Raises ParameterError for shapes that do not
     fit, numbers that are not finite and more than `MAX_STATES` states. It refuses `delay` in a sampled loop. It refuses
     a delay around a direct path D too: such a loop has infinitely many poles that do not die out.
+
+    `name`, `input` and `output` are the names of the loop and its signals, for python-control.
     """
 
     a: Array
@@ -35,6 +37,9 @@ class LoopTransfer:
     d: float
     dt: float | None = None
     delay: float = 0.0
+    name: str = "loop"
+    input: str = "u"
+    output: str = "y"
 
     def __post_init__(self) -> None:
         if not all(isinstance(part, np.ndarray) and part.ndim == 2 for part in (self.a, self.b, self.c)):
@@ -65,8 +70,10 @@ class LoopTransfer:
         """
         inputs: tuple[str, ...] = ()
         outputs: tuple[str, ...] = ()
+        name = getattr(model, "name", "loop")
         if isinstance(model, LoopTransfer):
             a, b, c, d, dt, delay = model.a, model.b, model.c, np.array([[model.d]]), model.dt, model.delay
+            inputs, outputs = (model.input,), (model.output,)
         elif isinstance(model, LinearModel):
             a, b, c, d, dt, delay = model.a, model.b, model.c, model.d, model.dt, 0.0
             inputs, outputs = model.inputs, model.outputs
@@ -80,7 +87,8 @@ class LoopTransfer:
         i = _place(source, inputs, b.shape[1], "input")
         j = _place(source if to is None else to, outputs, c.shape[0], "output")
         sign = -1.0 if negate else 1.0
-        return cls(a, b[:, i : i + 1], sign * c[j : j + 1], sign * float(d[j, i]), dt, delay)
+        names = (name, inputs[i] if inputs else "u", outputs[j] if outputs else "y")
+        return cls(a, b[:, i : i + 1], sign * c[j : j + 1], sign * float(d[j, i]), dt, delay, *names)
 
     @classmethod
     def of_gain(cls, gain: float, dt: float | None = None) -> Self:
@@ -101,11 +109,12 @@ class LoopTransfer:
         n, m = len(self.a), len(other.a)
         a = np.block([[self.a, self.b @ other.c], [np.zeros((m, n)), other.a]])
         b, c = np.vstack([self.b * other.d, other.b]), np.hstack([self.c, self.d * other.c])
-        return LoopTransfer(a, b, c, self.d * other.d, self.dt, self.delay + other.delay)
+        delay = self.delay + other.delay
+        return LoopTransfer(a, b, c, self.d * other.d, self.dt, delay, input=other.input, output=self.output)
 
     def scaled(self, factor: float) -> "LoopTransfer":
         """Return the loop with `factor` times the gain."""
-        return LoopTransfer(self.a, self.b, factor * self.c, factor * self.d, self.dt, self.delay)
+        return replace(self, c=factor * self.c, d=factor * self.d)
 
     def balanced(self) -> "LoopTransfer":
         """Return the same loop with states of similar size, which makes eigenvalues more accurate."""
@@ -114,7 +123,7 @@ class LoopTransfer:
         n = len(self.a)
         whole = np.block([[self.a, self.b], [self.c, np.zeros((1, 1))]])
         even, _ = matrix_balance(whole, permute=False)
-        return LoopTransfer(even[:n, :n], even[:n, n:], even[n:, :n], self.d, self.dt, self.delay)
+        return replace(self, a=even[:n, :n], b=even[:n, n:], c=even[n:, :n])
 
     def response(self, omega: ArrayLike) -> Complex:
         """Return L at the frequencies `omega` [rad/s], shape (k,)."""
@@ -162,8 +171,9 @@ class LoopTransfer:
         """Return L as python-control's FrequencyResponseData, for `control.margin`, `bode_plot` and `feedback`.
 
         `omega` [rad/s] defaults to 2,000 frequencies around all poles. python-control computes margins of a state space
-        from polynomials, which are wrong for loops of some 20 states or more; `state_space` gives that form. Raises
-        CompileError if python-control is not installed.
+        from polynomials, which are wrong for loops of some 20 states or more; `state_space` gives that form. The
+        result of `feedback` has no name, which `bode_plot` needs: `control.frd(control.feedback(loop), name="closed")`.
+        Raises CompileError if python-control is not installed.
         """
         if omega is None:
             poles = self.poles()  # at z = 0 are delays
@@ -172,7 +182,9 @@ class LoopTransfer:
             low = min(sizes[(sizes > 1e-6 * top) & (sizes < top)], default=top)
             omega = np.geomspace(1e-2 * low, top, 2000)
         w = np.atleast_1d(np.asarray(omega, dtype=float))
-        return python_control().frd(self.response(w), w, dt=self.dt or 0)
+        signals = {"inputs": without_dots([self.input]), "outputs": without_dots([self.output])}
+        (name,) = without_dots([self.name])
+        return python_control().frd(self.response(w), w, dt=self.dt or 0, name=name, **signals)
 
     def state_space(self) -> Any:
         """Return the loop as python-control's StateSpace.
@@ -182,9 +194,8 @@ class LoopTransfer:
         if self.delay:
             raise _error("python-control has no delays in continuous time", "sample it with zero_order_hold first")
         names = tuple(f"x{i}" for i in range(len(self.a)))
-        return LinearModel(
-            self.a, self.b, self.c, np.array([[self.d]]), self.dt, names, ("u",), ("y",), name="loop"
-        ).to_control()
+        d, signals = np.array([[self.d]]), ((self.input,), (self.output,))
+        return LinearModel(self.a, self.b, self.c, d, self.dt, names, *signals, name=self.name).to_control()
 
 
 def _solved(matrices: Complex, b: Complex) -> Complex:

@@ -171,10 +171,11 @@ class LoopMargins:
     bandwidth: float
 
     def __repr__(self) -> str:
+        if self.motion is not None and not self.stable:
+            return f"<LoopMargins unstable: {self.motion.text}>"
         gain, delay = f"{self.gain_margin_db:.1f} dB", f"{1e3 * self.delay_margin:.3g} ms"
         phase = f"{self.phase_margin_deg:.1f} deg at {self.crossover:.3g} rad/s"
-        state = "stable" if self.stable else "unstable"
-        return f"<LoopMargins {state}: gain margin {gain}, phase margin {phase}, delay margin {delay}>"
+        return f"<LoopMargins stable: gain margin {gain}, phase margin {phase}, delay margin {delay}>"
 
     @property
     def stable(self) -> bool:

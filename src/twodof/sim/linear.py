@@ -64,14 +64,16 @@ def cascade_loop(
         kept = plant.b @ thrust
         a = np.block([[plant.a + kept @ law.d @ plant.c, kept @ law.c], [law.b @ plant.c, law.a]])
         b = np.vstack([plant.b @ [[1.0], [-1.0]], np.zeros((m, 1))])
-        return LoopTransfer(a, b, -(moment @ np.hstack([law.d @ plant.c, law.c])), 0.0, PERIOD)
+        c = -(moment @ np.hstack([law.d @ plant.c, law.c]))
+        return LoopTransfer(a, b, c, 0.0, PERIOD, name=loop, input="M", output="M")
     broken = SIGNALS.index(_BROKEN_AT[loop])
     closed = np.ones((len(SIGNALS), 1))
     closed[broken] = 0.0
     read = closed * plant.c
     a = np.block([[plant.a + plant.b @ law.d @ read, plant.b @ law.c], [law.b @ read, law.a]])
     b = np.vstack([plant.b @ law.d[:, [broken]], law.b[:, [broken]]])
-    return LoopTransfer(a, b, -np.hstack([plant.c[[broken]], np.zeros((1, m))]), 0.0, PERIOD)
+    c, signal = -np.hstack([plant.c[[broken]], np.zeros((1, m))]), _BROKEN_AT[loop]
+    return LoopTransfer(a, b, c, 0.0, PERIOD, name=loop, input=signal, output=signal)
 
 
 def cascade_margins(

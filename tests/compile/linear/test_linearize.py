@@ -29,6 +29,7 @@ def test_a_pendulum_is_its_textbook_linearization() -> None:
     np.testing.assert_array_equal(model.c, [[1.0, 0.0]])
     np.testing.assert_array_equal(model.d, [[0.0]])
     assert model.point["p.theta"] == 0.3
+    assert repr(model) == f"<LinearModel {model.name}: 2 states, continuous, M -> theta>"
 
 
 def test_trim_finds_where_the_moment_holds_it() -> None:

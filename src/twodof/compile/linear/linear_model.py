@@ -1,14 +1,14 @@
 """Linear model of a diagram at a point: A, B, C, D with names."""
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import CompileError
+from twodof.errors import CompileError, listed
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -23,6 +23,11 @@ def python_control() -> Any:
         raise CompileError("python-control is not installed", "python-control", remedy) from error
 
 
+def without_dots(names: Iterable[str]) -> list[str]:
+    """Return names for python-control, where a dot separates the name of a system from that of its signal."""
+    return [name.replace(".", "_") for name in names]
+
+
 @dataclass(frozen=True, eq=False)
 class LinearModel:
     """x' = A x + B u, y = C x + D u, in deviations from a point; x' is x[k + 1], or dx/dt if `dt` is None.
@@ -34,19 +39,24 @@ class LinearModel:
     point, each output without an influence, and each integer or bool state that only `at` holds.
     """
 
-    a: Array = field(repr=False)
-    b: Array = field(repr=False)
-    c: Array = field(repr=False)
-    d: Array = field(repr=False)
+    a: Array
+    b: Array
+    c: Array
+    d: Array
     dt: float | None
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    point: Mapping[str, float] = field(default_factory=dict, repr=False)
-    output_values: Mapping[str, float] = field(default_factory=dict, repr=False)
+    point: Mapping[str, float] = field(default_factory=dict)
+    output_values: Mapping[str, float] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
     name: str = "diagram"
     remarks: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        time = "continuous" if self.dt is None else f"dt {self.dt:g} s"
+        signals = f"{listed(self.inputs)} -> {listed(self.outputs)}"
+        return f"<LinearModel {self.name}: {len(self.states)} states, {time}, {signals}>"
 
     def poles(self) -> Complex:
         """Return the eigenvalues of A, shape (n,): in the z plane, or in rad/s if `dt` is None."""
@@ -86,13 +96,10 @@ class LinearModel:
         Raises CompileError if python-control is not installed.
         """
         control = python_control()
-        names = ("states", "inputs", "outputs")
-        named = {what: [name.replace(".", "_") for name in getattr(self, what)] for what in names}
+        named = {what: without_dots(getattr(self, what)) for what in ("states", "inputs", "outputs")}
+        (name,) = without_dots([self.name])
         dt = 0 if self.dt is None else self.dt
-        # A dot separates the name of a system from that of its signal.
-        return control.StateSpace(
-            self.a, self.b, self.c, self.d, dt, **named, name=self.name, remove_useless_states=False
-        )
+        return control.StateSpace(self.a, self.b, self.c, self.d, dt, **named, name=name, remove_useless_states=False)
 
     @classmethod
     def from_json(cls, document: Any, where: str) -> Self:
