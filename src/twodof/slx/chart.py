@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from twodof.blocks.declarations import Port
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
+from twodof.slx.chart_text import AFTER, COMMENT, actions_of, label_of, matlab_of
 from twodof.slx.data_types import kind_of
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
@@ -37,13 +37,6 @@ from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
 
 MOST_LINES = 4000
 DEEPEST, MOST_JUNCTIONS = 12, 20
-_COMMENT = re.compile(r"%[^\n]*|//[^\n]*|/\*.*?\*/", re.DOTALL)
-_CONTINUED = re.compile(r"\.\.\.[^\n]*\n")
-_ACTIONS = {"en": "entry", "entry": "entry", "du": "during", "during": "during", "ex": "exit", "exit": "exit"}
-_KEYWORD = re.compile(
-    r"(?:(?<=\s)|(?<=;)|^)((?:(?:entry|en|during|du|exit|ex|bind|on\s+[^:\n]+)\s*,?\s*)+):", re.MULTILINE
-)
-_AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
 _CHANGED = re.compile(r"\bhasChanged(|From|To)\s*\(\s*(\w+)\s*(?:,([^(),]+))?\)")
 _SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
 _SETTINGS = {
@@ -182,7 +175,7 @@ class _Chart:
                     parent,
                     int(values.get("executionOrder", "1")),
                 )
-                _label(way, values.get("labelString", ""))
+                way.condition, way.action, way.at_end = label_of(values.get("labelString", ""))
                 parent.ways.append(way)
             elif part["tag"] == "junction":
                 if values.get("type") == "HISTORY_JUNCTION":
@@ -225,7 +218,7 @@ class _Chart:
             raise NotTranslated(f"the {what} {label.strip()[:40]} is not translated")
         made = _State(part["id"], name[1], parent, values.get("decomposition") == "SET_STATE")
         made.number = int(values.get("executionOrder", len(parent.children) + 1 if kind == "OR_STATE" else 0))
-        made.actions = _actions(label[name.end() :], name[1])
+        made.actions = actions_of(label[name.end() :], name[1])
         parent.children.append(made)
         self.states[made.id] = made
         self._read(part, made, depth + 1)
@@ -563,7 +556,7 @@ class _Chart:
             # As in MathWorks' code: the first tick that is not before the time.
             return f"({source.since} >= ceil(({found[1]}) * {_SECONDS[found[2]]!r} / {self.dt!r} * (1 - 1e-12)))"
 
-        return _CHANGED.sub(self._changed, _AFTER.sub(count, way.condition)) or "true"
+        return _CHANGED.sub(self._changed, AFTER.sub(count, way.condition)) or "true"
 
     def _changed(self, found: re.Match[str]) -> str:
         """Return whether a name had another value at the start of the tick before than at the start of this one."""
@@ -577,56 +570,6 @@ class _Chart:
 def _parts(form: Form) -> Iterator[Form]:
     for one in form["inside"]:
         yield from (one, *_parts(one))
-
-
-_C = re.compile(
-    r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
-    r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|&&|\|\||[-+*/!<>=();,\[\].])"
-)
-_SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false"}
-"""Functions that mean the same in C and in MATLAB's language."""
-
-
-def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
-    """Return an action or a condition of C in MATLAB's language; `functions` are those of the chart.
-
-    Raises NotTranslated where the two languages may differ: whole numbers and singles (unless `exact`) have other rules
-    of arithmetic, quotients of literals are whole, and other functions are C code.
-    """
-    tokens, at = list[str](), 0
-    while at < len(text):
-        found = _C.match(text, at)
-        if found is None:
-            raise NotTranslated(f"{owner}: {text[at : at + 12]!r} in C is not translated")
-        tokens.append(found[0])
-        at = found.end()
-    solid = [one for one in tokens if one.strip(" .\t\n") or one == "."]
-    for k, (one, after) in enumerate(pairwise([*solid, ""])):
-        before = solid[k - 1] if k else ""
-        literal = one in INTEGER_TYPES and re.fullmatch(r"\d+ \)", " ".join(solid[k + 2 : k + 4]))
-        known = functions | _SAME_IN_C | ({one} if literal else set())
-        if after == "(" and one.isidentifier() and one not in known and before != ".":
-            raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
-        if one in ("++", "--") and not before.isidentifier():
-            raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
-        if one in ("if", "for", "while", "return", "ml") or (after == "(" and before == "." and one.isidentifier()):
-            raise NotTranslated(f"{owner}: {one} in C is not translated")
-        if one == "/" and before[:1].isdigit() and after[:1].isdigit() and "." not in before + after:
-            raise NotTranslated(f"{owner}: the quotient of {before} and {after} is whole in C")
-        signed = one == "-" and (before in ("", "=", "(", "==", "<", ">", "<=", ">=", "!=", "&&", "||"))
-        if (
-            not exact
-            and one in ("+", "-", "*", "/", "++", "--", "+=", "-=", "*=", "/=")
-            and not (signed and after[:1].isdigit())
-        ):
-            raise NotTranslated(f"{owner}: arithmetic in C with other numbers than doubles is not translated")
-        if one in ("[", "/=", "*="):
-            raise NotTranslated(f"{owner}: {one!r} in C is not translated")
-    if re.search(r"[=!]=[^&|()]*[<>]|[<>][^&|()]*[=!]=", text):
-        raise NotTranslated(f"{owner}: == beside < in C is not translated")
-    made = "".join({"!": "~", "!=": "~="}.get(one, one) for one in tokens)
-    made = re.sub(r"([\w.]+)\s*(\+\+|--)", lambda m: f"{m[1]} = {m[1]} {m[2][0]} 1", made)
-    return re.sub(r"([\w.]+)\s*([-+])=\s*([^;,\n]*)", r"\1 = \1 \2 (\3)", made)
 
 
 def _as(kind: str, array: np.ndarray[Any, Any]) -> Value:
@@ -647,53 +590,6 @@ def _shown(way: _Way) -> str:
     return f"the transition {label[:60]}"
 
 
-def _actions(text: str, state: str) -> dict[str, str]:
-    """Return the actions of a state's label, behind its name."""
-    found: dict[str, str] = {}
-    bare = _COMMENT.sub("", text).lstrip("/ \t")
-    parts = _KEYWORD.split(bare)
-    if parts[0].strip():
-        found["entry"] = parts[0].strip()
-    for keywords, action in zip(parts[1::2], parts[2::2], strict=True):
-        for keyword in re.split(r"[,\s]+", keywords.strip().strip(",")):
-            if keyword not in _ACTIONS:
-                raise NotTranslated(f"the action '{keywords.strip()}' of {state} is not translated")
-            name = _ACTIONS[keyword]
-            found[name] = f"{found.get(name, '')}\n{action.strip()}".strip()
-    return found
-
-
-def _label(way: _Way, label: str) -> None:
-    """Read `event [condition] {action when it holds} / action when it is taken`."""
-    text = _CONTINUED.sub(" ", _COMMENT.sub("", label)).strip().removesuffix("?")
-    event = re.match(r"[^\[{/]*", text)
-    assert event is not None
-    text = text[event.end() :]
-    if text.startswith("["):
-        way.condition, text = _bracket(text, "[", "]")
-        way.condition = collapsed(way.condition)
-    if text.startswith("{"):
-        way.action, text = _bracket(text, "{", "}")
-    if text.startswith("/"):
-        way.at_end = text[1:].strip().removeprefix("{").removesuffix("}")
-        text = ""
-    said = event[0].strip()
-    if text or (said and _AFTER.fullmatch(said) is None):
-        raise NotTranslated(f"the transition {label.strip()[:60]!r}: events are not translated")
-    if said:
-        way.condition = f"{said} && ({way.condition})" if way.condition else said
-
-
-def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
-    """Return what is inside the bracket that begins a text, and what follows it."""
-    depth = 0
-    for at, letter in enumerate(text):
-        depth += (letter == opening) - (letter == closing)
-        if depth == 0:
-            return text[1:at].strip(), text[at + 1 :].strip()
-    raise NotTranslated(f"{text[:60]!r} has no {closing}")
-
-
 def _check_overflow(chart: SimulinkChart, item: MatlabFunction) -> None:
     """Raise NotTranslated for integers that wrap around: here they saturate. A chart whose file does not say it wraps.
 
@@ -704,7 +600,7 @@ def _check_overflow(chart: SimulinkChart, item: MatlabFunction) -> None:
     values = {} if chart.form is None else chart.form["values"]
     if not chart.function and values.get("actionLanguage", "") != "2":
         texts = [one["values"].get("eml/script", "") for one in _parts(chart.form or {"inside": ()})]
-        whole = whole and any(re.search(r"[-+*/]", _COMMENT.sub("", text)) for text in texts)
+        whole = whole and any(re.search(r"[-+*/]", COMMENT.sub("", text)) for text in texts)
     if whole and values.get("saturateOnIntegerOverflow", "1" if chart.function else "0") == "0":
         raise NotTranslated("its integers wrap around: let it saturate on integer overflow")
 

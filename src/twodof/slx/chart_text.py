@@ -1,0 +1,115 @@
+"""What is written in a chart: the actions of a state, the label of a transition, C as MATLAB's language."""
+
+import re
+from itertools import pairwise
+
+from twodof.blocks.expressions.numbers import INTEGER_TYPES
+from twodof.slx.model import collapsed
+from twodof.slx.translation import NotTranslated
+
+COMMENT = re.compile(r"%[^\n]*|//[^\n]*|/\*.*?\*/", re.DOTALL)
+_CONTINUED = re.compile(r"\.\.\.[^\n]*\n")
+_ACTIONS = {"en": "entry", "entry": "entry", "du": "during", "during": "during", "ex": "exit", "exit": "exit"}
+_KEYWORD = re.compile(
+    r"(?:(?<=\s)|(?<=;)|^)((?:(?:entry|en|during|du|exit|ex|bind|on\s+[^:\n]+)\s*,?\s*)+):", re.MULTILINE
+)
+AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
+_C = re.compile(
+    r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
+    r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|&&|\|\||[-+*/!<>=();,\[\].])"
+)
+_SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false"}
+"""Functions that mean the same in C and in MATLAB's language."""
+
+
+def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
+    """Return an action or a condition of C in MATLAB's language; `functions` are those of the chart.
+
+    Raises NotTranslated where the two languages may differ: whole numbers and singles (unless `exact`) have other rules
+    of arithmetic, quotients of literals are whole, and other functions are C code.
+    """
+    tokens, at = list[str](), 0
+    while at < len(text):
+        found = _C.match(text, at)
+        if found is None:
+            raise NotTranslated(f"{owner}: {text[at : at + 12]!r} in C is not translated")
+        tokens.append(found[0])
+        at = found.end()
+    solid = [one for one in tokens if one.strip(" .\t\n") or one == "."]
+    for k, (one, after) in enumerate(pairwise([*solid, ""])):
+        before = solid[k - 1] if k else ""
+        literal = one in INTEGER_TYPES and re.fullmatch(r"\d+ \)", " ".join(solid[k + 2 : k + 4]))
+        known = functions | _SAME_IN_C | ({one} if literal else set())
+        if after == "(" and one.isidentifier() and one not in known and before != ".":
+            raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
+        if one in ("++", "--") and not before.isidentifier():
+            raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
+        if one in ("if", "for", "while", "return", "ml") or (after == "(" and before == "." and one.isidentifier()):
+            raise NotTranslated(f"{owner}: {one} in C is not translated")
+        if one == "/" and before[:1].isdigit() and after[:1].isdigit() and "." not in before + after:
+            raise NotTranslated(f"{owner}: the quotient of {before} and {after} is whole in C")
+        signed = one == "-" and (before in ("", "=", "(", "==", "<", ">", "<=", ">=", "!=", "&&", "||"))
+        if (
+            not exact
+            and one in ("+", "-", "*", "/", "++", "--", "+=", "-=", "*=", "/=")
+            and not (signed and after[:1].isdigit())
+        ):
+            raise NotTranslated(f"{owner}: arithmetic in C with other numbers than doubles is not translated")
+        if one in ("[", "/=", "*="):
+            raise NotTranslated(f"{owner}: {one!r} in C is not translated")
+    if re.search(r"[=!]=[^&|()]*[<>]|[<>][^&|()]*[=!]=", text):
+        raise NotTranslated(f"{owner}: == beside < in C is not translated")
+    made = "".join({"!": "~", "!=": "~="}.get(one, one) for one in tokens)
+    made = re.sub(r"([\w.]+)\s*(\+\+|--)", lambda m: f"{m[1]} = {m[1]} {m[2][0]} 1", made)
+    return re.sub(r"([\w.]+)\s*([-+])=\s*([^;,\n]*)", r"\1 = \1 \2 (\3)", made)
+
+
+def actions_of(text: str, state: str) -> dict[str, str]:
+    """Return the actions of a state's label, behind its name."""
+    found: dict[str, str] = {}
+    bare = COMMENT.sub("", text).lstrip("/ \t")
+    parts = _KEYWORD.split(bare)
+    if parts[0].strip():
+        found["entry"] = parts[0].strip()
+    for keywords, action in zip(parts[1::2], parts[2::2], strict=True):
+        for keyword in re.split(r"[,\s]+", keywords.strip().strip(",")):
+            if keyword not in _ACTIONS:
+                raise NotTranslated(f"the action '{keywords.strip()}' of {state} is not translated")
+            name = _ACTIONS[keyword]
+            found[name] = f"{found.get(name, '')}\n{action.strip()}".strip()
+    return found
+
+
+def label_of(label: str) -> tuple[str, str, str]:
+    """Return condition, action when it holds and action when it is taken of a transition's label.
+
+    It is read as `event [condition] {action} / action`, where the only event is `after`.
+    """
+    text = _CONTINUED.sub(" ", COMMENT.sub("", label)).strip().removesuffix("?")
+    event = re.match(r"[^\[{/]*", text)
+    assert event is not None
+    text = text[event.end() :]
+    condition, action, at_end = "", "", ""
+    if text.startswith("["):
+        condition, text = _bracket(text, "[", "]")
+        condition = collapsed(condition)
+    if text.startswith("{"):
+        action, text = _bracket(text, "{", "}")
+    if text.startswith("/"):
+        at_end, text = text[1:].strip().removeprefix("{").removesuffix("}"), ""
+    said = event[0].strip()
+    if text or (said and AFTER.fullmatch(said) is None):
+        raise NotTranslated(f"the transition {label.strip()[:60]!r}: events are not translated")
+    if said:
+        condition = f"{said} && ({condition})" if condition else said
+    return condition, action, at_end
+
+
+def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
+    """Return what is inside the bracket that begins a text, and what follows it."""
+    depth = 0
+    for at, letter in enumerate(text):
+        depth += (letter == opening) - (letter == closing)
+        if depth == 0:
+            return text[1:at].strip(), text[at + 1 :].strip()
+    raise NotTranslated(f"{text[:60]!r} has no {closing}")
