@@ -55,4 +55,5 @@ impulse, doublet, other = (cut(read_log(files[name]), kind, name=name) for name,
 
 # By hand as in the paper, then by output error; the second doublet, which neither has seen, is the judge.
 print(identify_pitch(impulse, [doublet]).table())
+print("mu[impulse] is of a flight without thrust, mu[doublet-a] of hover, where the same M turns the drone more")
 print(fit(pitch_rate(), [impulse, doublet], validation=[other], separate=["mu"]).table())
