@@ -26,8 +26,8 @@ from twodof.blocks.declarations import Port
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
-from twodof.slx.chart_text import AFTER, COMMENT, actions_of, label_of, matlab_of
 from twodof.slx.data_types import kind_of
+from twodof.slx.matlab.chart_text import AFTER, COMMENT, actions_of, label_of, matlab_of
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
 from twodof.slx.matlab.program import IN_C, evaluate

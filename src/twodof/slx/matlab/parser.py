@@ -159,13 +159,13 @@ def nesting(token: Token) -> int:
 @lru_cache(4096)
 def expression_of(text: str) -> tuple[Tree, str]:
     """Return the tree of an expression, and the token behind it; "" where it ends."""
-    parser = Parser(tokens_of(text))
+    parser = MatlabParser(tokens_of(text))
     tree = parser.expression()
     parser.skip(";", "line")
     return tree, "" if parser.here.kind == "end" else parser.here.text
 
 
-class Parser:
+class MatlabParser:
     """Reader of tokens. A `script` may have a block without an end, or an `end` too many."""
 
     def __init__(self, tokens: list[Token], script: bool = False) -> None:

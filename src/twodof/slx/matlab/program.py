@@ -22,7 +22,7 @@ from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
 from twodof.slx.matlab.evaluation import Evaluation, range_of, script_text, signed
 from twodof.slx.matlab.library import LIBRARY
-from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, Parser, Tree, expression_of, tokens_of
+from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, MatlabParser, Tree, expression_of, tokens_of
 from twodof.slx.matlab.signals import truth
 from twodof.slx.matlab.values import (
     FUNCTIONS,
@@ -87,7 +87,7 @@ class Code:
         """Names of a chart's main function that its other functions see and change."""
         self.seen: dict[str, Value] = {}
         """Their values at a call."""
-        parser = Parser(self.tokens, script)
+        parser = MatlabParser(self.tokens, script)
         top = parser.block("function")
         made = parser.functions()
         if not made and not script:
