@@ -106,6 +106,7 @@ def test_in_parts_and_at_once_the_linearisation_is_the_same() -> None:
     still = {f"rig.{name}": value for name, value in (values | DRY).items()}
     still |= {f"rig.rotors.{pair}_ring": [HOVER] * RING for pair in ("fore", "aft")}
     still |= {f"rig.rotors.{pair}": HOVER for pair in ("fore", "aft")} | {"rig.rotors.wake": 1.0}
+    still |= {"rig.battery.load": 1.0, "rig.battery.polarised": 1.0}
     at = still | {"mode": 2, "thrust": HOVER, "rig.range.phase": 2**32 - 1, "flight.arming.count": 1000}
     at |= {f"flight.{name}": value for name, value in _filter_at_rest(float(values["tof_rate"])).items()}
     at |= {"flight.estimator.filter.started": True}
