@@ -45,7 +45,7 @@ typedef double real;
     X(rig_trim_start) X(rig_wake_lag) X(rig_wake_fade) X(rig_wake_start) X(rig_capacity) X(rig_voltage_full) \
     X(rig_voltage_empty) X(rig_resistance) X(rig_polarised_share) X(rig_polarised_time) \
     X(rig_hover_current) X(rig_charge_start) X(rig_polarised_start) X(rig_gust) X(rig_gust_time) X(rig_noise) \
-    X(rig_imu_below) X(rig_acc_scale) X(rig_gyro_scale) X(rig_acc_bias) X(rig_gyro_bias) X(rig_acc_x_idle) X(rig_acc_z_idle) X(rig_gyro_idle) \
+    X(rig_imu_below) X(rig_imu_ahead) X(rig_acc_scale) X(rig_gyro_scale) X(rig_acc_bias) X(rig_gyro_bias) X(rig_acc_x_idle) X(rig_acc_z_idle) X(rig_gyro_idle) \
     X(rig_acc_x_hover) X(rig_acc_z_hover) X(rig_gyro_hover) X(rig_vibration_hz) X(rig_vibration_r2) X(rig_rotor_hz) \
     X(rig_acc_x_line) X(rig_acc_z_line) X(rig_gyro_line) X(rig_ring_shake) X(rig_acc_step) \
     X(rig_gyro_step) X(rig_tof_rate) X(rig_tof_age) X(rig_tof_noise) X(rig_tof_bias) X(rig_tof_step) \

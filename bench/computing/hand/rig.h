@@ -210,9 +210,10 @@ static inline void sense_motion(Loop *l, const Thrust *now)
                      c->line_z * (fore.sine + aft.sine);
     const real e_q = p->rig_gyro_idle * n_q + p->rig_gyro_hover * load * shaken(c, p, &l->shake_q, n_q) +
                      c->line_q * (fore.sine - aft.sine);
-    const real force_x = m->cosine * along_rail + GRAVITY * m->sine + p->rig_imu_below * turning;
+    const real own_x = p->rig_imu_below * turning - p->rig_imu_ahead * m->q * m->q;
+    const real force_x = m->cosine * along_rail + GRAVITY * m->sine + own_x;
     const real acc_x = p->rig_acc_scale * force_x + p->rig_acc_bias;
-    const real acc_z = m->sine * along_rail - GRAVITY * m->cosine - p->rig_imu_below * m->q * m->q;
+    const real acc_z = m->sine * along_rail - GRAVITY * m->cosine - p->rig_imu_below * m->q * m->q - p->rig_imu_ahead * turning;
     l->y.acc_x = rounded(acc_x + p->rig_noise * e_x, c->acc_grain);
     l->y.acc_z = rounded(acc_z + p->rig_noise * e_z, c->acc_grain);
     l->y.gyro_y = rounded(p->rig_gyro_scale * m->q + p->rig_gyro_bias + p->rig_noise * e_q, c->gyro_grain);

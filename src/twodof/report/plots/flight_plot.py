@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -70,7 +71,7 @@ def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:
     axes[0].set_xlim(*view.span)
     if strips:
         _draw_strips(axes[0], strips, view.span, colours)
-    explained: set[tuple[str, str]] = set()
+    explained: set[tuple[str, Any]] = set()
     for ax, one in zip(axes[bool(strips) :], view.views, strict=True):
         _draw_view(ax, one, colours, explained)
         _draw_background(ax, view, colours)
@@ -128,7 +129,7 @@ def _paint(strip: str, label: str, colours: Colours) -> tuple[str, float]:
     return (colours["ink"], 0.18) if strip == "excitation" else (colours[_TINT.get(label, "rule")], 0.38)
 
 
-def _draw_view(ax: Axes, view: View, colours: Colours, explained: set[tuple[str, str]]) -> None:
+def _draw_view(ax: Axes, view: View, colours: Colours, explained: set[tuple[str, Any]]) -> None:
     """Draw curves and band, and their legend where the axes above, in `explained`, leave a name or a colour open."""
     quiet(ax)
     ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
@@ -145,9 +146,14 @@ def _draw_view(ax: Axes, view: View, colours: Colours, explained: set[tuple[str,
     if not any(np.isfinite(curve.value).any() for curve in view.curves):
         ax.text(0.5, 0.5, "no sample", ha="center", va="center", transform=ax.transAxes, color=colours["soft"])
         ax.set_yticks([])
-    elif named := {(str(line.get_label()), str(line.get_color())) for line in ax.lines if line.get_label()} - explained:
+    elif named := {(str(line.get_label()), line.get_color()) for line in ax.lines if _has_name(line)} - explained:
         explained |= named
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(view.curves) + (view.band is not None))
+
+
+def _has_name(line: Line2D) -> bool:
+    """Return True if a legend explains the line: matplotlib leaves out what begins with an underscore."""
+    return not str(line.get_label() or "_").startswith("_")
 
 
 def _draw_curve(ax: Axes, curve: Curve, other: str, colours: Colours) -> None:
