@@ -11,8 +11,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from twodof.campaign import campaign, plan
-from twodof.campaign.coverage import COLUMNS, FLOWN, IdentifiedByDefault, coverage, failures
+from twodof.campaign import campaign
+from twodof.campaign.coverage import COLUMNS, FLOWN, IdentifiedByDefault, coverage, drawn_drones, failures
 from twodof.rig.parameters import NAMES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,7 +28,7 @@ def table(rig: str, seeds: int, processes: int | None) -> Iterator[str]:
     for name in EXPERIMENTS:
         file = ROOT / "out" / "coverage" / f"{rig} {name} {seeds}.jsonl"
         file.parent.mkdir(parents=True, exist_ok=True)
-        runs = plan(range(1, seeds + 1), cases=[name])
+        runs = drawn_drones(rig, [name], range(1, seeds + 1))
         found = campaign(IdentifiedByDefault(rig), runs, file, name=f"{rig} {name}", processes=processes, say=say)
         for one in coverage(found):
             say(f"{rig} | {' | '.join(one.text)}")

@@ -1,25 +1,26 @@
 """Coverage of the default fit: flights of known truth, each identified as `twodof identify` does, and what holds it."""
 
-import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from twodof.campaign.plan import Row, Run
+from twodof.campaign.plan import Row, Run, drawn, plan
 from twodof.errors import ExperimentError
 from twodof.excitation import Multisine, ThreeTwoOneOne
 from twodof.experiment.experiments import EXPERIMENTS, Experiment
 from twodof.experiment.flight import Flight, Laboratory
-from twodof.identify.identified_flight import identify_flight
+from twodof.flightlog.log import FlightLog
+from twodof.identify.identified_flight import IdentifiedFlight, identify_flight
 from twodof.identify.ready_made import true_values
 from twodof.identify.validate import deviations
 from twodof.parameters import ParameterSet
-from twodof.rig.parameters import TABLE, load_rig
+from twodof.rig.parameters import CONDITIONS, TABLE, load_rig
+from twodof.rig.rig import stiffness
 
 LEVEL = 0.95
 """Of the intervals."""
@@ -61,16 +62,10 @@ class IdentifiedByDefault:
     rig: str
 
     def __call__(self, run: Run) -> dict[str, Any]:
-        laboratory = _laboratory(self.rig, tuple(run.parameters.items()))
-        flight = _good(laboratory.fly(FLOWN[run.case], run.seed))
-        impulse = None
-        if run.case == WITH_IMPULSE:
-            impulse = _good(laboratory.fly("impulse", run.seed + _IMPULSE_SEEDS)).log
-        kind = None if run.case in EXPERIMENTS else "doublet"
-        found = identify_flight(flight.log, kind, impulse=impulse)
+        laboratory, flight, found = _identified(self.rig, run)
         record, fit = found.record, found.greybox
         rig = laboratory.parameters.snapshot()
-        truth = true_values(rig, found.experiment, flight.log, record.start, float(record.time[-1]))
+        truth = true_values(rig, found.experiment, flight, record.start, float(record.time[-1]))
         figures: dict[str, Any] = {"converged": fit.converged, "trusted": found.sufficiency.trusted}
         for name in (*fit.labels, *fit.summed):
             if name in truth:
@@ -79,9 +74,60 @@ class IdentifiedByDefault:
         return figures
 
 
-@functools.lru_cache(maxsize=2)
-def _laboratory(rig: str, changed: tuple[tuple[str, float], ...]) -> Laboratory:
-    return Laboratory(ParameterSet({**load_rig(rig).snapshot(), **dict(changed)}, TABLE) if changed else rig)
+def drawn_drones(rig: str, experiments: Sequence[str], seeds: Sequence[int]) -> tuple[Run, ...]:
+    """Return the runs of a campaign in which each flight has a drone of its own, drawn from the priors of its fit.
+
+    What an interval with a prior promises, it promises for the drones that the prior allows, and not for each one of
+    them. Which priors an experiment's fit has is seen from a flight of `rig` itself; what has none is as in `rig`.
+    Rotors with a longer lag have a shorter delay, so that tau is that of `rig`. `bend` is not drawn, because the rig's
+    rotors have none. Raises the errors of `IdentifiedByDefault` and `plan`.
+    """
+    runs: list[Run] = []
+    for case in experiments:
+        _, _, found = _identified(rig, Run(0, 1, case=case), good=False)
+        known = {name: one for name, one in found.greybox.prior.items() if name in _AT_LEAST}
+        means, widths = ({name: one[side] for name, one in known.items()} for side in (0, 1))
+        nominal = load_rig(rig).snapshot()
+        most = {"lag": nominal["delay"] + nominal["lag"]}
+        bounds = {name: (_AT_LEAST[name], most.get(name, math.inf)) for name in known}
+        unknowns = drawn(means, np.diag([one**2 for one in widths.values()]), len(seeds), bounds=bounds)
+        members = [_rig_with(nominal, found.experiment, one) for one in unknowns] if known else [{}]
+        runs += plan(seeds, members, [case])
+    return tuple(replace(one, number=i) for i, one in enumerate(runs))
+
+
+_AT_LEAST = {"w_n": 0.05, "xi": 0.0, "coulomb": 0.0, "lag": 0.0005, "wake": -math.inf, "q_trim": -math.inf}
+"""The unknowns with priors that a rig can be given, and the least that each can be."""
+
+
+def _rig_with(rig: Mapping[str, float], experiment: str, unknowns: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters to change in `rig` so that a flight's unknowns have these values (`model_parameters`)."""
+    inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
+    changed = {}
+    if "w_n" in unknowns:
+        changed["softening"] = stiffness(rig, running=0.0) - inertia * unknowns["w_n"] ** 2
+        changed["viscous_run"] = 2.0 * inertia * unknowns["w_n"] * unknowns["xi"]
+    if "coulomb" in unknowns:
+        name, moved = ("rail_coulomb", mass) if experiment == "velocity" else ("coulomb_run", inertia)
+        changed[name] = moved * unknowns["coulomb"]
+    if "lag" in unknowns:
+        changed |= {"lag": unknowns["lag"], "delay": rig["delay"] + rig["lag"] - unknowns["lag"]}
+    factors = {"wake": ("trim", inertia), "q_trim": ("gyro_bias", 1.0)}
+    return changed | {to: size * unknowns[name] for name, (to, size) in factors.items() if name in unknowns}
+
+
+def _identified(rig: str, run: Run, good: bool = True) -> tuple[Laboratory, FlightLog, IdentifiedFlight]:
+    """Fly a run, see that its data are `good`, and identify it as the command does, which knows the rig by its name."""
+    machine = {name: value for name, value in run.parameters.items() if name not in CONDITIONS}
+    flown = ParameterSet({**load_rig(rig).snapshot(), **machine}, TABLE)
+    laboratory = Laboratory(flown, conditions={k: v for k, v in run.parameters.items() if k in CONDITIONS})
+    laboratory.rig_name = rig
+    flights = [laboratory.fly(FLOWN[run.case], run.seed)]
+    if run.case == WITH_IMPULSE:
+        flights.append(laboratory.fly("impulse", run.seed + _IMPULSE_SEEDS))
+    log, *impulse = [_good(one).log if good else one.log for one in flights]
+    kind = None if run.case in EXPERIMENTS else "doublet"
+    return laboratory, log, identify_flight(log, kind, impulse=impulse[0] if impulse else None)
 
 
 def _good(flight: Flight) -> Flight:

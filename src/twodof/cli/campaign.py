@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from twodof.campaign.coverage import COLUMNS, FLOWN, IdentifiedByDefault, coverage, failures
+from twodof.campaign.coverage import COLUMNS, FLOWN, IdentifiedByDefault, coverage, drawn_drones, failures
 from twodof.campaign.plan import plan
 from twodof.campaign.workers import campaign as run_campaign
 from twodof.cli.options import Force, Json, Rig, argument, option
@@ -22,6 +22,9 @@ def campaign(
         Path | None,
         option("Keep a row of figures for each flight there, as lines of JSON; the same command goes on.", "FILE"),
     ] = None,
+    drawn: Annotated[
+        bool, option("Fly a drone of its own each time, drawn from what the fit takes for likely before the flight.")
+    ] = False,
     processes: Annotated[int | None, option("Processes; left out: one a core.", min=1, max=1024)] = None,
     force: Force = False,
     json: Json = False,
@@ -41,13 +44,14 @@ def campaign(
         raise typer.BadParameter("an experiment is named twice")
     if out is not None and force:
         out.unlink(missing_ok=True)
-    runs = plan(range(1, seeds + 1), cases=experiments)
+    numbers = range(1, seeds + 1)
+    runs = drawn_drones(rig, experiments, numbers) if drawn else plan(numbers, cases=experiments)
     with progress() as report:
         rows = run_campaign(
             IdentifiedByDefault(rig),
             runs,
             out,
-            name=f"coverage on {rig}",
+            name=f"coverage on {rig}{', drawn' if drawn else ''}",
             processes=processes,
             say=say_line,
             report=lambda done: report(runs[done - 1].case, done / len(runs)),

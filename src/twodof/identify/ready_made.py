@@ -26,20 +26,23 @@ from twodof.models.structures import free_response, pitch_on_cart, pitch_rate, r
 from twodof.rig.parameters import NAMES, load_rig
 from twodof.rig.rig import cart_parameters, model_parameters, moment_gain, stiffness
 
-POLES_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.05, 0.05)})
+POLES_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.065, 0.04)})
 """Priors from the real drone's logs of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
 
 The stiffness is 5.2 +- 1.4 1/s2. The damping is between that of the free response beside dry friction, .036, and with
-all of it taken for viscous, .10."""
+all of it taken for viscous, .10. The prior is almost all above 0, as no bearing pushes."""
 
-FRICTION_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"coulomb": (0.05, 0.05)})
-"""The bearing's dry friction: not less than nothing, and a fraction of the .26 rad/s2 with the rotors at rest."""
+FRICTION_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"coulomb": (0.065, 0.04)})
+"""The bearing's dry friction: not less than nothing, and a fraction of the .26 rad/s2 with the rotors at rest.
 
-RAIL_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"q_trim": (0.0, 0.001), "coulomb": (0.05, 0.05)})
+Mean and deviation are those of a normal .05 +- .05 without what is below 0."""
+
+RAIL_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"q_trim": (0.0, 0.001), "coulomb": (0.065, 0.04)})
 """Bias of the gyro [rad/s] and dry friction of the rail [m/s2].
 
 In the real logs the integral of the gyro leaves the measured pitch by .0009 rad/s, the root of the mean square of seven
-flights. A level rail lets the cart slide at .6 deg, which is .1 m/s2, and friction is not less than nothing.
+flights. A level rail lets the cart slide at .6 deg, which is .1 m/s2, and friction is not less than nothing: as in
+`FRICTION_PRIOR`.
 """
 
 BEND_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"bend": (0.0, 1.0)})
