@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twodof.campaign import Run, campaign, plan
-from twodof.campaign.coverage import FLOWN, IdentifiedByDefault, coverage, failures
+from twodof.campaign import Run, campaign
+from twodof.campaign.coverage import FLOWN, IdentifiedByDefault, coverage, drawn_drones, failures
 from twodof.cli.app import run
 from twodof.experiment.flight import simulate
 from twodof.flightlog.files import write_log
+from twodof.rig.parameters import load_rig
+from twodof.rig.rig import model_parameters
 
 pytestmark = pytest.mark.slow
 
@@ -80,6 +82,26 @@ def test_the_figures_are_those_of_the_command(tmp_path: Path, capsys: pytest.Cap
         assert figures[name]["sigma"] in (said[name]["sigma"], said[name]["sigma_robust"]), name
 
 
+def test_drawn_drones_are_those_of_the_priors() -> None:
+    """What the rig's models make of the changed parameters has the mean and deviation that the fit was told before."""
+    rig, count = load_rig("lab").snapshot(), 2000
+    runs = drawn_drones("lab", ["rate-doublets"], range(count))
+    assert [run.number for run in runs] == list(range(count))
+    machines = [{**rig, **run.parameters} for run in runs]
+    known = [model_parameters(machine) for machine in machines]
+    tau = model_parameters(rig)["tau"]
+    assert [one["tau"] for one in known] == pytest.approx([tau] * count)
+    wake = [machine["trim"] / rig["inertia"] for machine in machines]
+    for values, (mean, width) in (([one["w_n_run"] for one in known], (2.28, 0.31)), (wake, (0.0, 4.0))):
+        # 4 deviations of the mean and of the deviation.
+        assert np.mean(values) == pytest.approx(mean, abs=4.0 * width / math.sqrt(count))
+        assert np.std(values) == pytest.approx(width, rel=4.0 / math.sqrt(2 * count))
+    for name in ("xi_run", "coulomb_run"):  # not below 0
+        values = [one[name] for one in known]
+        assert min(values) >= 0.0
+        assert np.median(values) == pytest.approx(0.065, abs=0.01)
+
+
 def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = tmp_path / "rows.jsonl"
     asked = ["campaign", "velocity-doublet", "--rig", "paper", "--seeds", "3", "--out", str(rows), "--json"]
@@ -107,7 +129,7 @@ REST = [
 
 
 def check(rig: str, experiment: str, flights: int = FLIGHTS) -> None:
-    rows = campaign(IdentifiedByDefault(rig), plan(range(1, flights + 1), cases=[experiment]))
+    rows = campaign(IdentifiedByDefault(rig), drawn_drones(rig, [experiment], range(1, flights + 1)))
     found = [one for one in coverage(rows) if not one.repeats_prior]
     assert found, failures(rows)
     for one in found:
