@@ -140,10 +140,12 @@ _BLOCKS: Mapping[str, tuple[tuple[Any, ...], ...]] = {
         ("rail_end", "SAFE_RAIL_END", 0.395, 0.05, 0.45, "m", "place at which the motors stop"),
     ),
     "failsafe.force": (
+        ("imu_below", "SAFE_IMU_BELOW", 0.012, -0.2, 0.2, "m", "IMU under the bearing"),
+        ("imu_ahead", "SAFE_IMU_AHEAD", 0.013, -0.2, 0.2, "m", "IMU ahead of the bearing"),
         ("pull", "SAFE_PULL", 12.5, 1.0, 100.0, "m/s2", "full thrust over the mass that slides"),
         ("pull_share", "SAFE_PULL_SHARE", 0.3, 0.05, 1.0, "", "share of the pull that may be missing, or more"),
         ("drag", "SAFE_DRAG", 0.9, 0.0, 10.0, "1/s", "friction of the rail over the mass"),
-        ("along_slack", "SAFE_ALONG_SLACK", 0.4, 0.1, 5.0, "m/s2", "acceleration along the rail left unexplained"),
+        ("along_slack", "SAFE_ALONG_SLACK", 0.3, 0.1, 5.0, "m/s2", "acceleration along the rail left unexplained"),
         ("along_limit", "SAFE_ALONG_LIM", 0.15, 0.05, 2.0, "m/s", "unexplained speed along it: motors off"),
         ("hit_slack", "SAFE_HIT_SLACK", 2.0, 0.5, 20.0, "m/s2", "acceleration along it left unexplained, of an impact"),
         ("hit_limit", "SAFE_HIT_LIM", 0.08, 0.02, 2.0, "m/s", "unexplained speed along it of an impact: motors off"),

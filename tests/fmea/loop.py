@@ -19,6 +19,7 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.flight.mixer import Mixer
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT, SAMPLE, rig
+from twodof.sim.closed_loop import loop_values
 
 ARM, GO = 400, 600
 """When it arms and when it takes off [ms]."""
@@ -288,4 +289,4 @@ def _set(machine: Instances, lanes: Sequence[Mapping[str, Any]]) -> None:
 
 def rig_values(name: str) -> dict[str, float]:
     """A rig's parameters, as those of the loop."""
-    return {f"rig.{path}": value for path, value in load_rig(name).snapshot().items()}
+    return loop_values(load_rig(name))

@@ -17,7 +17,7 @@ from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
 from twodof.link.mavlink.dialect import MavResult
-from twodof.rig.parameters import load_rig, save_rig
+from twodof.rig.parameters import NAMES, load_rig, save_rig
 from twodof.sim.virtual_drone import VirtualDrone
 
 pytestmark = pytest.mark.slow
@@ -137,3 +137,15 @@ def test_the_pages_example_flies(capsys: pytest.CaptureFixture[str]) -> None:
     estimate, truth = map(float, capsys.readouterr().out.split())
     assert truth == pytest.approx(0.17, abs=0.03)  # 2 s after the step, in turbulence
     assert estimate == pytest.approx(truth, abs=0.01)
+
+
+@pytest.mark.parametrize("rig", NAMES)
+def test_the_failsafe_knows_where_the_rigs_imu_is(rig: str) -> None:
+    drone, values = VirtualDrone(rig), load_rig(rig)
+    for name, path in (("SAFE_IMU_BELOW", "imu_below"), ("SAFE_IMU_AHEAD", "imu_ahead")):
+        drone.assembly.store.set(name, 0.1)
+        assert drone.flown.changed == 1
+        drone.assembly.store.reset()
+        assert drone.flown.changed == 0
+        assert drone.controller.code.machine.get(f"failsafe.force.{path}") == pytest.approx(values[path], rel=1e-6)
+    asyncio.run(drone.close())

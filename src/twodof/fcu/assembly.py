@@ -77,8 +77,8 @@ class Assembly:
 
     `state` is the folder for parameters.json, logs/ and controllers/ (uploads); None keeps nothing. `rates` are those
     of the streams that every client gets (link/mavlink/dialect.py). `signing` is required of every client. `fresh`
-    starts with all parameters at their defaults and without uploads. `close` ends the parts that run outside the event
-    loop; the server closes by itself.
+    starts with all parameters at their defaults and without uploads; `defaults` are this drone's own, by path. `close`
+    ends the parts that run outside the event loop; the server closes by itself.
 
     Raises as `Controllers.build`, and DiagramError if uploads cannot be deleted.
     """
@@ -93,9 +93,11 @@ class Assembly:
         state: Path | None = None,
         rates: Mapping[int, float] = ONBOARD,
         fresh: bool = False,
+        defaults: Mapping[str, float] | None = None,
     ) -> None:
         bus = OnboardEventBus()
-        self.store = store = ParameterStore(None if state is None else state / "parameters.json", system, bus=bus)
+        path = None if state is None else state / "parameters.json"
+        self.store = store = ParameterStore(path, system, bus=bus, defaults=defaults)
         if fresh:
             controllers.forget()
         code, damage = controllers.build()

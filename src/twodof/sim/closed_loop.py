@@ -4,6 +4,7 @@ import functools
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
 from twodof.flight.failsafe.state_machine import FLYING
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import TEMPLATES
-from twodof.parameters import TUNABLES, ParameterSet
+from twodof.parameters import TUNABLES, ParameterSet, float32_decimal
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 from twodof.rig.rotors import RING
@@ -170,8 +171,21 @@ FLIGHT, CASCADE = "flight.", "flight.cascade."
 """Prefixes of the paths of the flight code, and of its cascade, in the closed loop."""
 
 _OWN = tuple(f"{prefix}{name}." for name in TEMPLATES for prefix in (FLIGHT, CASCADE))
+_IMU = MappingProxyType({name: f"failsafe.force.{name}" for name in ("imu_below", "imu_ahead")})
 _SETTLE_TICKS = SETTLE_STEPS * TICKS
 _SETTLE_TICKS_INTERPRETED = 2_000
+
+
+def mounting(rig: Mapping[str, Any]) -> dict[str, float]:
+    """Return the flight code's parameters that say where the IMU of `rig` is, by path, as MAVLink carries them."""
+    return {path: float32_decimal(rig[name]) for name, path in _IMU.items() if name in rig}
+
+
+def loop_values(rig: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a rig's values as parameters of the closed loop with the failsafe, by path."""
+    return {f"rig.{name}": value for name, value in rig.items()} | {
+        f"{FLIGHT}{path}": value for path, value in mounting(rig).items()
+    }
 
 
 def closed_loop(
@@ -288,20 +302,26 @@ class ClosedLoop:
             name: f"{FLIGHT}{path}" for path, row in stock.items() for name in {path, row.name or path}
         }
         """Path in the closed loop of each stock parameter, by its path in the flight code and its name on the wire."""
+        self.rig = dict((lab() if rig is None else rig).snapshot())
+        self.conditions = dict(conditions or {})
+        self.configure(self.rig | self.conditions)
         self.tune(gains)
         self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
         self.states = frozenset(self.machine.states)
         self._flight_states = {path.removeprefix(FLIGHT) for path in self.states if path.startswith(FLIGHT)}
         self.inputs = (*SETPOINTS, *(SAFETY if failsafe else ()))
         self.failsafe = failsafe
-        self.rig = dict((lab() if rig is None else rig).snapshot())
-        self.conditions = dict(conditions or {})
-        self.configure(self.rig | self.conditions)
         self._settled = self._settle()
 
     def configure(self, values: Mapping[str, Any]) -> None:
-        """Set parameters of the rig by name. Raises ParameterError for an unknown or impossible one."""
-        self.machine.set_many({f"rig.{name}": value for name, value in values.items()})
+        """Set parameters of the rig by name, and tell the failsafe where the IMU is.
+
+        Raises ParameterError for an unknown or impossible one.
+        """
+        known = self.machine.parameters
+        self.machine.set_many(
+            {path: value for path, value in loop_values(values).items() if path.startswith("rig.") or path in known}
+        )
 
     def tune(self, gains: Gains) -> None:
         """Set the gains of those stock loops that this closed loop has."""

@@ -21,7 +21,16 @@ from twodof.parameters import TUNABLES
 from twodof.rig.parameters import NAMES, TABLE, load_rig
 from twodof.rig.rig import BASE_DT
 from twodof.signals import MODES, PERIOD
-from twodof.sim.closed_loop import CASCADE, FLIGHT, SETPOINTS, TICKS, ClosedLoop, InitialState, closed_loop
+from twodof.sim.closed_loop import (
+    CASCADE,
+    FLIGHT,
+    SETPOINTS,
+    TICKS,
+    ClosedLoop,
+    InitialState,
+    closed_loop,
+    loop_values,
+)
 
 MOST_LOGGED = 600
 """Most numbers inside the diagram that the module returns at each tick; outer signals are chosen first."""
@@ -116,7 +125,7 @@ def play_program() -> tuple[bytes, dict[str, Any]]:
     texts = {f"{FLIGHT}{row.path}": row.text for row in TUNABLES.values()} | {
         f"rig.{row.name}": row.text for row in TABLE
     }
-    rigs = {name: {f"rig.{path}": v for path, v in load_rig(name).snapshot().items()} for name in NAMES}
+    rigs = {name: loop_values(load_rig(name)) for name in NAMES}
     data = {
         "table": module.interface(),
         "ticks": TICKS,

@@ -21,7 +21,7 @@ from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import NAMES, lab, load_rig
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
-from twodof.sim.closed_loop import SETTLE_STEPS, InitialState, covariances
+from twodof.sim.closed_loop import SETTLE_STEPS, InitialState, covariances, mounting
 
 TICKS = SAMPLE[0]
 """Base ticks in a control period."""
@@ -213,7 +213,8 @@ class VirtualDrone:
         chosen = Controllers(controllers, trusted, uploads, kept, position_filter, precision, fuel)
         if rate not in PROFILES:
             raise ParameterError(f"no rates are named {rate!r:.40}", "rate", f"use one of {', '.join(PROFILES)}")
-        self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate], fresh)
+        own = mounting({**parameters, **(conditions or {})})
+        self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate], fresh, own)
         self.controller, self.commander = self.assembly.controller, self.assembly.commander
         self.server = self.assembly.server
         self.rig.settle(self.controller.code)

@@ -89,8 +89,11 @@ def force(r: Row) -> dict[str, Any]:
     if r["rings"]:
         free, share, limit = 0.0, 0.0, 2.0 * r["along_limit"]
     slack, hit_slack = r["along_slack"] + share, r["hit_slack"] * (1.0 + 2.0 * abs(r["sine"])) + share
-    along = r["cosine"] * r["acc_x"] + r["sine"] * r["acc_z"] + free
-    down = r["cosine"] * r["acc_z"] - r["sine"] * r["acc_x"] + 9.81
+    # What the bearing feels: the IMU is `imu_below` and `imu_ahead` of it.
+    acc_x = r["acc_x"] - r["imu_below"] * r["turning"] + r["imu_ahead"] * (r["gyro_y"] * r["gyro_y"])
+    acc_z = r["acc_z"] + r["imu_below"] * (r["gyro_y"] * r["gyro_y"]) + r["imu_ahead"] * r["turning"]
+    along = r["cosine"] * acc_x + r["sine"] * acc_z + free
+    down = r["cosine"] * acc_z - r["sine"] * acc_x + 9.81
     hit = 0.0 if r["rings"] else along
     sums = {
         "forth": summed(r["last_forth"], along - slack, limit),
@@ -161,6 +164,7 @@ def rate(r: Row) -> dict[str, Any]:
         "output.disagrees": faster[1] or slower[1],
         **{f"{section}.faster": faster[0] for section in ("output", "update")},
         **{f"{section}.slower": slower[0] for section in ("output", "update")},
+        "output.turning": (r["gyro_y"] - r["last_gyro_y"]) * r["per_dt"],
         "update.gyro_y": r["gyro_y"],
         "update.asked": asked,
         "update.arrived": r["last_arrived"] + r["per_answer"] * (asked - r["last_arrived"]),
@@ -334,6 +338,10 @@ MEANINGS = (
             "acc_x": (0.0, 0.0, 0.5, 0.5, -0.5, -0.5, 1.0, -1.0, 40.0, -40.0, NAN, INF),
             # Those beside -9.81 leave just the slack.
             "acc_z": (-9.81, -9.81, 0.75 - 9.81, 0.75 - 9.81, -0.75 - 9.81, -0.75 - 9.81, 0.0, 40.0, -40.0, NAN, INF),
+            "gyro_y": (0.0, 0.0, 0.0, 2.0, -4.0, NAN),
+            "turning": (0.0, 0.0, 0.0, 16.0, -32.0, NAN),
+            "imu_below": (0.03125,),
+            "imu_ahead": (0.0625,),
             "sine": (0.0, 0.0, 0.0, 0.5, -0.5, 0.25, NAN),
             "cosine": (1.0, 1.0, 1.0, 0.75),
             "v": (0.0, 0.0, 0.5, -0.5, NAN),

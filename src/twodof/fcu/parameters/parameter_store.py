@@ -189,7 +189,7 @@ class ParameterStore(Mapping[str, float]):
     A value is read by any of its names; an int32 is an int. A float is kept as the shortest decimal that rounds to the
     same float32. So 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
 
-    `carry` adds the parameters of a user's controllers to the list.
+    `carry` adds the parameters of a user's controllers to the list. `defaults` are this vehicle's own, by path.
 
     It publishes ParametersChanged and ParametersRelisted on `bus` (None: a new one).
 
@@ -204,14 +204,15 @@ class ParameterStore(Mapping[str, float]):
         system: int = 1,
         values: Mapping[str, float] | None = None,
         bus: OnboardEventBus | None = None,
+        defaults: Mapping[str, float] | None = None,
     ) -> None:
         """Read the file; `values` take precedence over it. Raises ParameterError as `update` does."""
-        self._system = system
+        self._vehicle = system, tuple((defaults or {}).items())
         self.carried: tuple[UserParameters, ...] = ()
         """The users' controllers that fly, with their parameters."""
         self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
         self._list()
-        self._set = ParameterSet(table=vehicle_rows(system))
+        self._set = ParameterSet(table=vehicle_rows(*self._vehicle))
         self.bus = bus or OnboardEventBus()
         self._file = StoreFile(path) if path is not None else None
         self.remarks: tuple[str, ...] = ()
@@ -279,10 +280,10 @@ class ParameterStore(Mapping[str, float]):
         if [one.identity for one in users] == [one.identity for one in self.carried]:
             return ()
         self._keep_tuned()
-        values = {row.name: self._set[row.name] for row in vehicle_rows(self._system)}
+        values = {row.name: self._set[row.name] for row in vehicle_rows(*self._vehicle)}
         self.carried = tuple(users)
         self._list()
-        table = (*vehicle_rows(self._system), *(row for one in users for row in one.rows))
+        table = (*vehicle_rows(*self._vehicle), *(row for one in users for row in one.rows))
         fresh = ParameterSet(values, table)
         remarks: list[str] = []
         for one in users:
@@ -365,7 +366,7 @@ class ParameterStore(Mapping[str, float]):
         """Sort all rows as PX4 does, by name."""
         users = (row for one in self.carried for row in one.rows)
         self.rows: tuple[VehicleParameter, ...] = tuple(
-            sorted((*wire_rows(self._system), *users), key=lambda row: row.name)
+            sorted((*wire_rows(*self._vehicle), *users), key=lambda row: row.name)
         )
         self._index = {row.name: index for index, row in enumerate(self.rows)}
 
@@ -381,7 +382,7 @@ class ParameterStore(Mapping[str, float]):
 
     def _kept(self) -> StoredParameters:
         self._keep_tuned()
-        values = ((row, self._set[row.name]) for row in vehicle_rows(self._system))
+        values = ((row, self._set[row.name]) for row in vehicle_rows(*self._vehicle))
         changed = {row.name: value for row, value in values if value != row.default}
         return StoredParameters(changed, tuple(self._tuned.values()))
 
@@ -405,6 +406,6 @@ class ParameterStore(Mapping[str, float]):
         """Use each valid value of the file; return remarks on the others."""
         kept, remark = found
         good, faults = self._set.check(self._as_carried(kept.values))
-        self._set = ParameterSet(good, vehicle_rows(int(self._set["MAV_SYS_ID"])))
+        self._set = ParameterSet(good, vehicle_rows(*self._vehicle))
         self._tuned = {one.identity: one for one in kept.controllers[-MOST_TUNED:]}
         return (*((remark,) if remark else ()), *faults)

@@ -141,12 +141,18 @@ def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
 
 
 @cache
-def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
-    """Return every parameter of the vehicle with the id `system` once, under its main name."""
+def vehicle_rows(system: int, defaults: tuple[tuple[str, float], ...] = ()) -> tuple[VehicleParameter, ...]:
+    """Return every parameter of the vehicle with the id `system` once, under its main name.
+
+    `defaults` are this vehicle's own, by path.
+    """
+    own = dict(defaults)
     flight = (*PARAMETERS, *(row for row in FLIGHT_PARAMETERS if row not in PARAMETERS))
     rows = (
         VehicleParameter(
-            **vars(row), group="Flight" if row in PARAMETERS else "Failsafe", disarmed=row.path.startswith("failsafe.")
+            **(vars(row) | {"default": own.get(row.path, row.default)}),
+            group="Flight" if row in PARAMETERS else "Failsafe",
+            disarmed=row.path.startswith("failsafe."),
         )
         for row in flight
     )
@@ -154,12 +160,12 @@ def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
 
 
 @cache
-def wire_rows(system: int) -> tuple[VehicleParameter, ...]:
+def wire_rows(system: int, defaults: tuple[tuple[str, float], ...] = ()) -> tuple[VehicleParameter, ...]:
     """Return the rows of PARAM_REQUEST_LIST in the order of their indices, by name as in PX4.
 
     A parameter that has a name of its own on the real drone (FC_PARAM_4) is listed under both names (see `of`).
     """
-    rows = vehicle_rows(system)
+    rows = vehicle_rows(system, defaults)
     others = (
         replace(row, name=row.drone, drone="", of=row.name, text=f"{row.name}: {row.text}") for row in rows if row.drone
     )

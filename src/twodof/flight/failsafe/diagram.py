@@ -203,8 +203,9 @@ def _flags(d: Diagram) -> None:
     for name, function in (("sine", "sin"), ("cosine", "cos")):
         d.add(name, Trigonometry(function, input_unit="rad"), u="theta")
     turned = {"sine": "sine", "cosine": "cosine"}
-    d.add("force", ForceConsistency(), inputs=turned | {name: name for name in ("acc_x", "acc_z", "v", "rings")})
     d.add("rate", RateConsistency(), gyro_y="gyro_y", sine="sine")
+    turned |= {"turning": "rate.turning"}
+    d.add("force", ForceConsistency(), inputs=turned | {name: name for name in (*IMU, "v", "rings")})
     d.add(
         "motion",
         RangeConsistency(),

@@ -265,11 +265,12 @@ def _told(sums: Sums) -> dict[str, Any]:
 class ForceConsistency(Block):
     """Check of the measured specific force against the pitch and the commands of the tick before.
 
-    The estimated pitch (`sine`, `cosine`) turns the specific force into a vertical part and one along the rail, whose
-    values are known. Vertical: -g, as the rail holds the drone up. Along the rail: the cart's acceleration, which is 0
-    with the cart locked, else -`pull` T sin(theta) by the tilted thrust and -`drag` v. A remainder means a fault. Then
-    the gyro does not follow the drone, an accelerometer is wrong, or the cart hits or presses against an end of the
-    rail. A pitch error d leaves g d, less the thrust's share.
+    An IMU that stands `imu_below` under the bearing and `imu_ahead` of it feels accelerations of its own, which follow
+    from the rate `gyro_y` and its change `turning`; they are taken away. The estimated pitch (`sine`, `cosine`) turns
+    the rest into a vertical part and one along the rail, whose values are known. Vertical: -g, as the rail holds the
+    drone up. Along the rail: the cart's acceleration, which is 0 with the cart locked, else -`pull` T sin(theta) by the
+    tilted thrust and -`drag` v. A remainder means a fault. Then the gyro does not follow the drone, an accelerometer is
+    wrong, or the cart hits or presses against an end of the rail. A pitch error d leaves g d, less the thrust's share.
 
     The sums are unexplained speeds [m/s]. The slack along the rail is `along_slack` plus the share `pull_share` of the
     thrust's part, as a sagging battery pulls less. With the cart locked the limit is twice as high: the same pitch
@@ -279,15 +280,18 @@ class ForceConsistency(Block):
     `speed` is the speed that pull and drag alone give the cart.
     """
 
-    inputs = ports("acc_x", "acc_z", "sine", "cosine", "v", "fore", "aft", "rings")
+    inputs = (*ports(*IMU, "sine", "cosine", "v", "fore", "aft", "rings"), Port("turning", unit="rad/s2"))
     outputs = (Port("disagrees", "bool"), *(Port(name, unit="m/s") for name in (*FORCE_SUMS, "speed")))
     states = (*(State(name, unit="m/s") for name in (*FORCE_SUMS, "speed")), State("thrust"))
     params = tunables("failsafe.force")
 
     def _sums(self, u: Any, x: Any, p: Any, t: Any) -> Sums:
         pull = p.pull * x.thrust * u.sine
-        along = u.cosine * u.acc_x + u.sine * u.acc_z + where(u.rings, 0.0, pull + p.drag * u.v)
-        down = u.cosine * u.acc_z - u.sine * u.acc_x + GRAVITY
+        squared = u.gyro_y * u.gyro_y
+        acc_x = u.acc_x - p.imu_below * u.turning + p.imu_ahead * squared
+        acc_z = u.acc_z + p.imu_below * squared + p.imu_ahead * u.turning
+        along = u.cosine * acc_x + u.sine * acc_z + where(u.rings, 0.0, pull + p.drag * u.v)
+        down = u.cosine * acc_z - u.sine * acc_x + GRAVITY
         share = where(u.rings, 0.0, p.pull_share * abs(pull))
         slack = p.along_slack + share
         # Rotors shake the vertical axis more: by the tilt that is felt along the rail.
@@ -381,10 +385,16 @@ class RateConsistency(Block):
 
     The sums are unexplained rates [rad/s]. The slack is `turn_slack`, plus the share `turn_share` of the expected
     acceleration, plus the acceleration still within the lag, whose arrival is known to a few milliseconds only.
+
+    `turning` is the change of the gyro's rate.
     """
 
     inputs = ports("gyro_y", "sine", "fore", "aft")
-    outputs = (Port("disagrees", "bool"), *(Port(name, unit="rad/s") for name in RATE_SUMS))
+    outputs = (
+        Port("disagrees", "bool"),
+        *(Port(name, unit="rad/s") for name in RATE_SUMS),
+        Port("turning", unit="rad/s2"),
+    )
     states = (
         *(State(name, unit="rad/s") for name in RATE_SUMS),
         State("gyro_y", unit="rad/s"),
@@ -397,9 +407,12 @@ class RateConsistency(Block):
     def prepare(self, p: Any, t: Any) -> Any:
         return {"per_answer": minimum(1.0, t.dt / p.answer), "per_dt": 1.0 / t.dt}
 
+    def _turning(self, u: Any, x: Any, p: Any) -> Any:
+        return (u.gyro_y - x.gyro_y) * p.per_dt
+
     def _sums(self, u: Any, x: Any, p: Any, t: Any) -> Sums:
         expected = p.turn * x.arrived - p.swing * u.sine
-        left = (u.gyro_y - x.gyro_y) * p.per_dt - expected
+        left = self._turning(u, x, p) - expected
         slack = p.turn_slack + p.turn_share * abs(expected) + p.turn * abs(x.asked - x.arrived)
         return {
             "faster": cumulative_sum(x.faster, left - slack, p.turn_limit, t.dt),
@@ -407,7 +420,7 @@ class RateConsistency(Block):
         }
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return _told(self._sums(u, x, p, t))
+        return _told(self._sums(u, x, p, t)) | {"turning": self._turning(u, x, p)}
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         def lift(command: Any) -> Any:
