@@ -1,6 +1,6 @@
 # Everything sets itself up in .venv; what is needed beforehand is Python >= 3.11, make and a network.
 #
-#   make demo    fly, identify, compare with the paper, write out/demo/report.html, in 1 to 5 minutes; the page first
+#   make demo    fly, identify, compare with the paper, write out/demo/report.html, in 1 to 5 minutes on two idle cores
 #   make web     build the browser page of web/ into the package
 #   make play    the page in out/play that flies the virtual rig in a browser, without a server
 #   make wheel   dist/twodof-*.whl with the page inside: `pip install` it where there is no make, node or compiler

@@ -18,7 +18,7 @@ from twodof.cli.interrupts import INTERRUPTED, LINE
 
 pytestmark = pytest.mark.slow
 
-DEMO_TAKES = "The demo flies, identifies and writes the report in 1 to 5 minutes on two cores.\n"
+DEMO_TAKES = "The demo flies, identifies and writes the report in 1 to 5 minutes on two idle cores.\n"
 
 
 def processes(group: int) -> int:

@@ -120,6 +120,16 @@ def test_people_are_told_who_can_connect(lockstep: bool, capfd: pytest.CaptureFi
     assert ("stand still" in out) is lockstep
 
 
+def test_each_group_has_a_link_to_its_own_drones(shell: Shell, capfd: pytest.CaptureFixture[str]) -> None:
+    pages = [{"command": f"http://vm:{port}/", "watch": "http://vm/?token=w"} for port in (8080, 8081, 8082)]
+    print_places([LocalDrone(k) for k in range(4)], lockstep=False, json=False, pages=pages)
+    out = capfd.readouterr().out
+    assert "the page         http://vm:8080/\n" in out
+    assert "group 1, drone 1, 2: http://vm:8081/\ngroup 2, drone 3, 4: http://vm:8082/\n" in out
+    for options in (["--drones", "3", "--groups", "2"], ["--drones", "2", "--groups", "2", "--no-page"]):
+        assert "--groups" in shell(["up", *options], 2).err
+
+
 def test_last_output_of_a_program_is_shown() -> None:
     error = child_error(["Traceback", "  where it was", "ValueError: 3"], "companion 1", 1)
     assert error.what.splitlines() == [

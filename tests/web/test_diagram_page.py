@@ -244,8 +244,17 @@ def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page
     assert outer.evaluate_all("nodes => nodes.map((node) => node.style.transform)") == places
     inlet.click()
     sheet(page).press("ArrowDown")
-    for answer, parts in (("Stay here", 0), ("Open notch-attitude and lose them", 1)):
-        page.evaluate("location.hash = '#/diagram?starter=notch-attitude'")
+    by_dialog = page.get_by_role("dialog").get_by_role("button", name="notch-attitude")
+    for way, answer, parts in (
+        ("o", "Stay here", 0),
+        ("#", "Stay here", 0),
+        ("#", "Open notch-attitude and lose them", 1),
+    ):
+        if way == "o":
+            sheet(page).press("Control+o")
+            by_dialog.click()
+        else:
+            page.evaluate("location.hash = '#/diagram?starter=notch-attitude'")
         page.get_by_role("button", name=answer).press("Enter")
         expect(page).to_have_url(re.compile("[?]starter=notch-attitude$" if parts else "#/diagram/moved$"))
         expect(block(page, "notch")).to_have_count(parts)

@@ -46,7 +46,7 @@ def demo(
     began = time.monotonic()
     _make_folder(out)
     check_folder(out, force)
-    say_line("The demo flies, identifies and writes the report in 1 to 5 minutes on two cores.")
+    say_line("The demo flies, identifies and writes the report in 1 to 5 minutes on two idle cores.")
     with progress() as report:
         steps = count()
         expected = _OTHER_STEPS + len(_RIGS) * len(IDENTIFICATION) * repetitions

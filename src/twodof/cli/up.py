@@ -5,7 +5,7 @@ import os
 import sys
 import webbrowser
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import AsyncExitStack
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -67,6 +67,10 @@ def up(
     page_port: Annotated[
         int, option("TCP port of the page; a free one where somebody has it.", min=0, max=65535)
     ] = PORT,
+    groups: Annotated[
+        int,
+        option("Share the drones among so many groups: a page for each, at the next ports.", min=1, max=MOST_DRONES),
+    ] = 1,
     host: options.PageHost = LOOPBACK,
     token: options.PageToken = False,
     open_page: options.OpenPage = False,
@@ -88,6 +92,9 @@ def up(
         raise typer.BadParameter(
             "no page is served with --no-page or --lockstep", param_hint="--token" if host == LOOPBACK else "--host"
         )
+    if groups > 1 and (drones % groups or not paged):
+        wrong = f"{drones} drones cannot be shared equally" if drones % groups else "no page is served"
+        raise typer.BadParameter(wrong, param_hint="--groups")
     known = None if key is None else read_key(key)
     check_ports_free(index, drones)
     given = ["--rig", rig, "--noise", str(noise), "--charge", str(charge), "--precision", precision]
@@ -101,7 +108,10 @@ def up(
         for number in range(drones)
     ]
     fleet = LocalFleet(places, given, known, _tell)
-    served = _served(places, key, host, page_port_of(page_port, host), token) if paged else None
+    served = [_served(places, key, host, page_port_of(page_port, host), token)] if paged else []
+    for k in range(groups if groups > 1 else 0):
+        own = places[k * drones // groups : (k + 1) * drones // groups]
+        served.append(_served(own, key, host, page_port_of(page_port and page_port + k + 1, host), token))
     raise typer.Exit(asyncio.run(_run(fleet, places, lockstep, json, served, open_page)))
 
 
@@ -131,7 +141,7 @@ async def _run(
     places: list[LocalDrone],
     lockstep: bool,
     json: bool,
-    served: tuple[LocalPage, LabSettings] | None = None,
+    served: Sequence[tuple[LocalPage, LabSettings]] = (),
     open_page: bool = False,
 ) -> int:
     """Run all programs; return the exit status once all have ended."""
@@ -139,22 +149,22 @@ async def _run(
 
     async def keep() -> int:
         nonlocal all_up
-        async with fleet, nullcontext() if served is None else served[0]:
+        async with fleet, AsyncExitStack() as pages:
+            for one, _ in served:
+                await pages.enter_async_context(one)
             try:
                 if not json:
                     many = f"{len(places)} drones" if len(places) > 1 else "the drone"
                     _tell(f"starting {many}; the first start compiles the flight code, which takes up to half a minute")
                 await fleet.start()
-                all_up, found, who = True, None, ""
-                if served is not None:
-                    page, settings = served
-                    found, who = (
-                        links(settings, settings.port) if await page.listens() else None,
-                        link_warning(settings),
-                    )
+                all_up = True
+                found = [
+                    links(settings, settings.port) if await page.listens() else None for page, settings in served
+                ] or [None]
+                who = link_warning(served[0][1]) if served else ""
                 print_places(places, lockstep, json, fleet.reports, found, who)
-                if open_page and found is not None:
-                    await asyncio.to_thread(webbrowser.open, found["command"])
+                if open_page and found[0] is not None:
+                    await asyncio.to_thread(webbrowser.open, found[0]["command"])
                 await fleet.run()
             except asyncio.CancelledError:
                 if not json:
@@ -179,12 +189,20 @@ def print_places(
     lockstep: bool,
     json: bool,
     flown: Mapping[int, ControllerReport] = NOTHING_KNOWN,
-    page: Mapping[str, str] | None = None,
+    pages: Sequence[Mapping[str, str] | None] = (None,),
     who: str = "",
 ) -> None:
-    """Print the addresses of the drones and their `page`, and `who` may open it: as text or one line of JSON."""
+    """Print the addresses of the drones and of their `pages`, and `who` may open them: as text or one line of JSON.
+
+    The first page is that of all drones, the others are those of the groups.
+    """
+    page, *groups = pages
     rows = [place.described(lockstep) | flown.get(place.index, ControllerReport())._asdict() for place in places]
     text = "" if page is None else f"the page         {page['command']}\n  only to watch  {page['watch']}\n{who}"
+    share = len(places) // max(1, len(groups))
+    for k, group in enumerate(groups):
+        own = ", ".join(str(row["system"]) for row in rows[k * share : (k + 1) * share])
+        text += f"group {k + 1}, drone {own}: {'no page' if group is None else group['command']}\n"
     for row in rows:
         key = f', key="{row["key"]}"' if row["key"] else ""
         what = controller_in_words(row["controller"], row["changed"])
@@ -201,7 +219,7 @@ def print_places(
         else "QGroundControl finds them by itself (UDP 14550).\n"
     )
     text += f"A program that ends is started again, up to {MOST_RESTARTS} times in {WITHIN_S:g} s. Ctrl-C ends all.\n"
-    print_start(json, {"drones": rows, "lockstep": lockstep, "page": page}, text)
+    print_start(json, {"drones": rows, "lockstep": lockstep, "page": page, "groups": groups}, text)
 
 
 def lab(

@@ -56,6 +56,12 @@ def test_names_and_bounds_are_those_of_the_module_for_px4(name: str) -> None:
         assert wire == [np.float32(value) for value in (theirs.low, theirs.default, theirs.high)]
 
 
+def test_an_initial_value_is_no_gain() -> None:
+    (own,) = user_parameters([starter("notch-attitude")])
+    others = {row.user_path for row in own.rows if not row.tuning}
+    assert others == {f"{KIND}.{name}" for name in ("pid.initial_integral", "pid.initial_filter", "notch.initial")}
+
+
 def test_types_bounds_and_texts() -> None:
     (own,) = user_parameters([tuned()])
     rows = {row.user_path.removeprefix(f"{KIND}.law."): row for row in own.rows}

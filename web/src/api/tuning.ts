@@ -85,10 +85,12 @@ export async function listParameters(drone: number): Promise<ParameterRow[]> {
 
 /** Label a parameter: one of a user's diagram by its path there, in the unit that the diagram declares. */
 export function labelled(row: Omit<ParameterRow, "label">): ParameterRow {
-  if (row.path === "") return { ...row, label: row.name };
+  // A filter's corner is an angular frequency: rad/s, as a Bode plot has it.
+  const unit = row.path || /\bcorner\b/.test(row.text) ? `=${row.unit}` : row.unit;
+  if (row.path === "") return { ...row, label: row.name, unit };
   const label = row.path.slice(row.path.indexOf(".") + 1);
   const text = row.text.startsWith(row.path) ? row.text.slice(row.path.length).replace(/^: /, "") : row.text;
-  return { ...row, label, text, unit: `=${row.unit}` };
+  return { ...row, label, text, unit };
 }
 
 /** Change all parameters or none; `confirm` is the token of an unstable preview. */

@@ -47,6 +47,20 @@ const ROWS = [
   }),
 ];
 
+it("shows the corner of a filter in rad/s, and other rates in deg/s", () => {
+  const corner = row("RATE_N", {
+    unit: "rad/s",
+    text: "rate loop, corner of the derivative's filter",
+    low: 1,
+    high: 250,
+  });
+  expect(shown(100, corner.unit)).toBe("100");
+  expect(boundsText(corner)).toBe("1 to 250 rad/s");
+  expect(boundsText(row("Q_MAX", { unit: "rad/s", text: "largest rate set-point", low: 0, high: Math.PI }))).toBe(
+    "0 to 180 deg/s",
+  );
+});
+
 describe("the list", () => {
   it("puts a user's controller first and the failsafe and the vehicle last, each number once", () => {
     const names = grouped(ROWS).map(([group, rows]) => [group, rows.map((one) => one.name)]);

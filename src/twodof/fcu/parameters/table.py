@@ -221,12 +221,13 @@ def user_parameters(controllers: Iterable[Diagram]) -> tuple[UserParameters, ...
 def _of(kind: str, diagram: Diagram, taken: Iterable[str]) -> UserParameters:
     program = lower(diagram, PERIOD)
     shown, kept = diagram_rows(program, module_names(diagram.name).prefix, taken, kind)
+    starts = {f"{n.path}.{p.name}" for n in program.nodes for p in n.block.params if p.name.startswith("initial")}
     rows: list[VehicleParameter] = []
     elements: dict[str, tuple[Param, tuple[VehicleParameter, ...]]] = {}
     for one in shown:
         if one.fixed:
             continue
-        row = _row(kind, diagram.name, one)
+        row = _row(kind, diagram.name, one, one.path not in starts)
         rows.append(row)
         path = f"{kind}.{one.path}"
         _, before = elements.get(path, (None, ()))
@@ -238,7 +239,7 @@ def _of(kind: str, diagram: Diagram, taken: Iterable[str]) -> UserParameters:
     return UserParameters(kind, diagram.name, identity, tuple(rows), remark, text, elements)
 
 
-def _row(kind: str, diagram: str, one: ExportedParameter) -> VehicleParameter:
+def _row(kind: str, diagram: str, one: ExportedParameter, tuning: bool) -> VehicleParameter:
     path = f"{kind}.{one.place}"
     text = ": ".join(filter(None, (path, one.text)))
     default, low, high = one.default, one.low, one.high
@@ -252,7 +253,7 @@ def _row(kind: str, diagram: str, one: ExportedParameter) -> VehicleParameter:
         harmless(one.unit, LONGEST_UNIT),
         harmless(text, LONGEST_TEXT),
         kind="float" if one.kind == "real" else "int32",
-        tuning=True,
+        tuning=tuning,  # an initial value is no gain: the page lists it only where all parameters are wanted
         group=f"Controller {diagram}",
         user_path=path,
         bounded=one.low not in (-LARGEST_FLOAT, SMALLEST_INT) or one.high not in (LARGEST_FLOAT, LARGEST_INT),

@@ -46,6 +46,7 @@ export class Tuning {
   readonly outdated = $derived(this.previewing || (this.preview !== undefined && !this.judged));
 
   private asked = "";
+  private asking = { question: "", done: Promise.resolve() };
   private waiting: ReturnType<typeof setTimeout> | undefined;
   private readonly previews = new LatestOnly<readonly Change[]>(
     (changes) => this.ask(changes),
@@ -193,9 +194,16 @@ export class Tuning {
     }
   }
 
-  private async ask(changes: readonly Change[]): Promise<void> {
+  /** Ask for the preview of these changes, unless it is there or under way. */
+  private ask(changes: readonly Change[]): Promise<void> {
     const question = JSON.stringify([changes, this.goal, this.model, this.rows.map((row) => row.value)]);
-    if (question === this.asked) return;
+    if (question === this.asked) return Promise.resolve();
+    if (!this.previewing || question !== this.asking.question)
+      this.asking = { question, done: this.find(changes, question) };
+    return this.asking.done;
+  }
+
+  private async find(changes: readonly Change[], question: string): Promise<void> {
     this.previewing = true;
     try {
       const found = await api.previewTuning(this.drone, asRecord(changes), this.goal);
