@@ -8,7 +8,7 @@ from typing import Any
 from tests.compile.differential import Case
 from tests.compile.random_machines import MachineTable, machine_block, random_table
 from twodof.blocks import Bus, Diagram, Param, Port, State, fold, sin
-from twodof.blocks.library import Logic
+from twodof.blocks.library import Bias, Logic
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 
 
@@ -24,7 +24,7 @@ def random_rows(r: random.Random, steps: int) -> list[dict[str, Any]]:
 
 
 def machine_case(r: random.Random, name: str, steps: int) -> tuple[Case, MachineTable]:
-    """A random machine in a sub-diagram that is reset now and then, with its inputs."""
+    """A random machine, one of its inputs unread, in a sub-diagram that is reset now and then, with its inputs."""
     table = random_table(r)
     d = Diagram(name)
     inner = Diagram("inner")
@@ -32,7 +32,12 @@ def machine_case(r: random.Random, name: str, steps: int) -> tuple[Case, Machine
         diagram.input("u")
         diagram.input("b", "int32")
         diagram.input("flag", "bool")
-    inner.add("machine", machine_block(table), u="u", b="b", flag="flag")
+    asleep = Diagram("asleep")
+    asleep.input("u")
+    asleep.add("more", Bias(1.0), u="u")
+    asleep.output("y", "more")
+    inner.add("asleep", asleep, u="u", enable="flag")
+    inner.add("machine", machine_block(table, spare=True), u="u", b="b", flag="flag", spare="asleep.y")
     d.input("clear", "bool")
     d.add("inner", inner, u="u", b="b", flag="flag", reset="clear")
     paths = [f"inner.machine.{port}" for port in ("y", "k", "w", "mode", "elapsed")]

@@ -103,11 +103,11 @@ def _test(r: random.Random, constants: Iterator[int]) -> Term:
     return ("and", often, unlike)
 
 
-def machine_block(table: MachineTable) -> StateMachine:
-    """The table as a user would write it."""
+def machine_block(table: MachineTable, spare: bool = False) -> StateMachine:
+    """The table as a user would write it; with a `spare` input nothing reads that."""
 
     class Tabled(StateMachine):
-        inputs = (Port("u"), Port("b", "int32"), Port("flag", "bool"))
+        inputs = (Port("u"), Port("b", "int32"), Port("flag", "bool"), *([Port("spare")] if spare else []))
         outputs = (Port("y"), Port("k", "int32"), Port("w"), Port("mode", "int32"), Port("elapsed", "uint32"))
         variables = (State("w", 1.0), State("v", -1.0), State("n", 2, "int32"))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.compile import examples
+from tests.toolchains import need
 from twodof.blocks import Block, Diagram, Param, Port, State, array_of, int32, sqrt
 from twodof.blocks.library import Gain, LowPass, Sum
 from twodof.blocks.reference.interpreter import Reference
@@ -44,13 +45,19 @@ def test_the_free_pendulum_swings_as_theory_says() -> None:
     assert np.max(np.abs(theta - start * free)) < 1e-8 * start
 
 
-@pytest.mark.parametrize("target", ["native", "wasm"])
+@pytest.mark.parametrize("target", ["native", "wasm", "cortex-m7"])
 def test_machines_do_not_share_anything(target: str) -> None:
-    program = build(examples.delay(3), 0.01, target=target)
-    one, two = program.machine(), program.machine()
-    one.run(5, {"u": 1.0})
-    assert two.run(5, {"u": 0.0})["y"].tolist() == [0.0] * 5
-    assert one.step({})["y"] == 1.0
+    if target == "cortex-m7":
+        need("qemu-system-arm")
+    program = build(examples.loop(), 0.01, target=target)
+    rows = np.random.default_rng(1).normal(size=300)
+    once, first, second = (program.machine() for _ in range(3))
+    second.set("k", 5.0)
+    together = once.run(300, {"r": rows})["y"]
+    ours, theirs = zip(*((first.step({"r": v})["y"], second.step({"r": -v})["y"]) for v in rows), strict=True)
+    assert np.array_equal(together, ours)
+    assert not np.array_equal(together, np.negative(theirs))  # another gain
+    assert first.tick == second.tick == 300
 
 
 def test_step_run_reset_and_states() -> None:

@@ -62,26 +62,6 @@ def test_chained_products_cost_as_much_as_their_arithmetic() -> None:
     assert lines[2] - lines[1] == lines[1] - lines[0]
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_chained_products_are_numpys(precision: str) -> None:
-    """By rows in the same order of sums; through JSON too, where the reference recomputes recorded expressions."""
-    rng = np.random.default_rng(3)
-    a, b = rng.uniform(-0.5, 0.5, (2, N, N))
-    wanted = a.astype(precision)
-    for _ in range(12):
-        total = np.zeros((N, N), precision)
-        for m in range(N):
-            total = total + wanted[:, m : m + 1] * b.astype(precision)[m]
-        wanted = total
-    travelled = from_json(to_json(powers(12)))
-    for machine in (
-        Reference(powers(12), DT, precision).machine(),
-        Reference(travelled, DT, precision).machine(),
-        build(travelled, DT, precision, optimise="-O1").machine(),
-    ):
-        assert machine.step({"a": a.ravel().tolist(), "b": b.ravel().tolist()})["y"] == wanted.ravel().tolist()
-
-
 class Loops(Block):
     """Arrays, calls and loops in loops that change at every turn of the inner loop, of the outer one, or at none."""
 

@@ -14,7 +14,7 @@ import pytest
 from tests.compile.differential import KINDS, Case, emitted, reference_run
 from tests.toolchains import need
 from twodof.blocks import Block, Diagram, Param, Port, State, atan, cos, maximum, minimum, sqrt, store, to_int32, where
-from twodof.blocks.library import DiscreteIntegrator, Gain, Sum, Trigonometry, ZeroOrderHold
+from twodof.blocks.library import Trigonometry, ZeroOrderHold
 from twodof.compile.c.emitter import emit
 from twodof.compile.program.layout import MemoryLayout
 from twodof.compile.program.lower import lower
@@ -312,51 +312,3 @@ def test_a_long_chain_on_one_condition_takes_its_time_only() -> None:
     start = time.process_time()
     emit([program])
     assert time.process_time() - start < 5.0
-
-
-def chain(**options: Any) -> Diagram:
-    """Two gains one after the other within a part that is enabled; what comes out of it is added to an input."""
-    inner = Diagram("inner")
-    inner.input("u")
-    inner.input("awake", "bool")
-    inner.add("first", Gain(2.0), u="u")
-    inner.add("second", Gain(3.0), u="first", **options)
-    inner.output("y", "second")
-    d = Diagram("d")
-    d.input("u")
-    d.input("on", "bool")
-    d.input("awake", "bool")
-    d.add("inner", inner, u="u", awake="awake", enable="on")
-    d.add("sum", Sum("++"), a="inner.y", b="u")
-    d.output("y", "sum")
-    return d
-
-
-def kept(d: Diagram, **options: Any) -> set[str]:
-    """The paths of the signals that stand in memory from tick to tick."""
-    return {s.path for s in MemoryLayout(lower(d, DT, **options)).stored}
-
-
-def test_signals_read_outside_are_kept() -> None:
-    assert kept(chain()) == {"inner.second.y"}
-    assert kept(chain(), log=["inner.first.y"]) == {"inner.first.y", "inner.second.y"}
-    assert kept(chain(initial={"y": 2.0})) == {"inner.second.y"}
-
-
-def test_signals_read_at_another_rate_are_kept() -> None:
-    d = Diagram("d")
-    d.input("u")
-    d.add("slow", ZeroOrderHold(), rate=(3, 1), u="u")
-    d.add("gain", Gain(2.0), rate=(3, 1), u="slow")
-    d.add("fast", ZeroOrderHold(), u="gain")
-    d.output("y", "fast")
-    assert kept(d) == {"gain.y"}
-    part = Diagram("part")
-    part.input("u")
-    part.add("sum", DiscreteIntegrator(), u="u")
-    part.output("y", "sum")
-    d.add("between", ZeroOrderHold(), rate=(6, 1), u="slow")
-    d.add("later", part, rate=(6, 1), u="between")
-    d.add("last", ZeroOrderHold(), u="later.y")
-    d.output("z", "last")
-    assert kept(d) == {"gain.y", "slow.y", "later.sum.y"}

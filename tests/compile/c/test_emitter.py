@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import re
 import shutil
 import subprocess
@@ -16,10 +15,9 @@ import pytest
 from tests.blocks.library.samples import LIBRARY
 from tests.compile import differential, examples
 from tests.compile.whole_library import library_cases
-from twodof.blocks import Block, Diagram, Param, Port, State, array_of, sin, store, to_int32, to_real, to_uint32, vector
+from twodof.blocks import Block, Diagram, Port, State, store
 from twodof.blocks.expressions import numbers
 from twodof.blocks.library import Compare, Logic
-from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.compile import native as target
 from twodof.compile.builder import emit_program
@@ -83,53 +81,6 @@ def test_reading_what_was_stored_costs_what_is_written() -> None:
     """Each reader asking for each store grew with the square: 300 gave five megabytes."""
     small, large = (len(emit_program(stores(n), 0.01).source) for n in (100, 200))
     assert large < 2.2 * small  # twice, and names that are a digit longer
-
-
-def test_reading_what_was_stored_gives_the_same_bits() -> None:
-    compiled, judge = build(stores(5), 0.01).machine(), Reference(stores(5), 0.01).machine()
-    places = [*range(-3, 24), 2**31 - 1, -(2**31), *range(19)]
-    assert compiled.run(len(places), {"i": places})["y"].tolist() == [judge.step({"i": i})["y"] for i in places]
-
-
-class Shuffle(Block):
-    """Three states, which it gives as an array and replaces by elements of its input."""
-
-    inputs = (Port("u", width=6),)
-    outputs = (Port("y", width=6),)
-    states = (State("a"), State("b", width=2), State("c", width=6))
-
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return vector(random.Random(self.seed).sample([x.a, -x.a, x.b[0], x.b[1], x.c[2], x.c[5]], 6))
-
-    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        one, two, three = random.Random(self.seed + 1).sample([u.u[0], u.u[1], u.u[2]], 3)
-        return {"a": one + 1.0, "b": vector([two, three]), "c": array_of(6, lambda i: u.u[0] - x.c[i])}
-
-
-def ring(seed: int) -> Diagram:
-    """Shuffles that feed one another in a random order, and some of them themselves."""
-    r = random.Random(seed)
-    d = Diagram(f"ring{seed}")
-    d.input("u", width=6)
-    names = r.sample("abcdefgh", 4)
-    for name in names:
-        d.add(name, Shuffle(r.randrange(100)))
-    for name in names:
-        d.connect(r.choice([*names, "u"]), f"{name}.u")
-    d.output("y", names[0])
-    return d
-
-
-@pytest.mark.long
-def test_updates_read_the_old_states() -> None:
-    rows = [{"u": [k + 0.125 * i for i in range(6)]} for k in range(8)]
-    cases = [differential.Case(ring(seed), [], rows, {}) for seed in range(30)]
-    expected = [differential.reference_run(c, "float64", "rk4") for c in cases]
-    programs = differential.emitted(cases, "float64", "rk4")
-    assert not differential.differences(cases, expected, programs, differential.KINDS["gcc-O0"].target)
 
 
 def test_equal_diagrams_give_equal_c() -> None:
@@ -329,46 +280,3 @@ def test_tables_lead_to_parameters_and_signals(tmp_path: Path) -> None:
     assert f"y {y:.17g}" in said
     assert f"sum.sum {machine.state('sum.sum'):.17g}" in said
     assert f"pendulum.theta {machine.state('pendulum.theta'):.17g}" in said
-
-
-class Named(Block):
-    """A block whose ports, parameter and states bear given names and whose code calls helpers and functions."""
-
-    def __init__(self, port: str) -> None:
-        self.port = port
-        self.inputs = [Port(port)]
-        self.outputs = [Port(port)]
-        self.params = [Param(port, 0.5)]
-        self.states = [State(port, 0.25, continuous=True), State(f"{port}2", 0.5)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        n = to_int32(u[self.port])
-        return sin(x[self.port]) * p[self.port] + to_real((n + 1) * n) + x[f"{self.port}2"] + to_real(to_uint32(n))
-
-    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {f"{self.port}2": u[self.port]}
-
-    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {self.port: u[self.port] - x[self.port]}
-
-
-HOSTILE = [
-    *(("int32", "t"), ("int32", "add"), ("real_to", "int32"), ("td", "sin"), ("td", "inline"), ("INT32", "MIN")),
-    *(("prog", name) for name in ("X", "P", "Held", "derivative", "integrate", "along", "step")),
-]
-"""Names of a part and of its ports that mean something once joined; "prog" is the diagram's own name."""
-
-
-def test_joined_names_do_not_collide() -> None:
-    cases = []
-    for number, (part, port) in enumerate(HOSTILE):
-        d = Diagram(f"prog{number}")
-        d.input(port)
-        name = d.name if part == "prog" else part
-        d.add(name, Named(port), **{port: port})
-        d.add("behind", Named(port), **{port: f"{name}.{port}"})
-        d.output(port, f"behind.{port}")
-        cases.append(differential.Case(d, [], [{port: 0.3 * k} for k in range(4)], {}))
-    expected = [differential.reference_run(c, "float64", "rk4") for c in cases]
-    programs = differential.emitted(cases, "float64", "rk4")
-    assert not differential.differences(cases, expected, programs, target.Native(optimise="-O0"))

@@ -16,9 +16,10 @@ import pytest
 
 from tests.compile.differential import KINDS, Case, Judgement, differences, emitted, reference_run
 from tests.toolchains import need
-from twodof.blocks import Block, Diagram, Param, Port, State
+from twodof.blocks import Block, Diagram, Param, Port, State, sin, to_int32, to_real, to_uint32
 from twodof.blocks.library import Gain
 from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.compile.native import Native
 from twodof.compile.target import EmittedProgram
 
 pytestmark = pytest.mark.slow
@@ -52,10 +53,17 @@ TEXTS = (
 )
 
 
-class Named(Block):
-    """A gain, a sum and a counter whose ports, states and parameters all have the name it is given."""
+JOINED = [
+    *(("int32", "t"), ("int32", "add"), ("real_to", "int32"), ("td", "sin"), ("td", "inline"), ("INT32", "MIN")),
+    *(("prog", name) for name in ("X", "P", "Held", "derivative", "integrate", "along", "step")),
+]
+"""Names of a part and of its ports that mean something once joined; "prog" is the diagram's own name."""
 
-    def __init__(self, name: str, text: str) -> None:
+
+class Named(Block):
+    """A gain, a sum and helpers of the emitted C; ports, states and parameters all have the name it is given."""
+
+    def __init__(self, name: str, text: str = "") -> None:
         self.name = name
         self.inputs = [Port(name)]
         self.outputs = [Port(name)]
@@ -63,7 +71,8 @@ class Named(Block):
         self.states = [State(name), State(f"{name}_2", 1.0, continuous=True)]
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return p[self.name] * u[self.name] + x[self.name]
+        n = to_int32(u[self.name])
+        return p[self.name] * sin(u[self.name]) + x[self.name] + to_real((n + 1) * n) + to_real(to_uint32(n))
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         return {self.name: 0.25 * (x[self.name] + u[self.name])}
@@ -132,6 +141,21 @@ def chosen(judged: list[tuple[Case, Judgement]]) -> Callable[[int], Chosen]:
         return some, expected, emitted(some, "float64", "rk4")
 
     return made
+
+
+def test_joined_names_do_not_collide() -> None:
+    made = []
+    for number, (part, port) in enumerate(JOINED):
+        d = Diagram(f"prog{number}")
+        d.input(port)
+        name = d.name if part == "prog" else part
+        d.add(name, Named(port), **{port: port})
+        d.add("behind", Named(port), **{port: f"{name}.{port}"})
+        d.output(port, f"behind.{port}")
+        made.append(d)
+    some = cases(made)
+    expected = [reference_run(case, "float64", "rk4") for case in some]
+    assert not differences(some, expected, emitted(some, "float64", "rk4"), Native("gcc", "-O0", cpu=False))
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from twodof.blocks import Diagram, Port, State
-from twodof.blocks.library import Bias, Convert, Logic, UnitDelay, ZeroOrderHold
+from twodof.blocks.library import Bias, Convert
 from twodof.blocks.reference import Reference
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 from twodof.compile import build
@@ -121,73 +121,3 @@ def test_all_clocks_are_0_at_the_start(start: int) -> None:
         clocks.append(expected.state("machine.elapsed_outer"))
         assert compiled.state("machine.elapsed_outer") == clocks[-1]
     assert clocks == [0, 1, 2, 0, 1, 2, 3, 4, 5, 6, 7, 8]
-
-
-class TakenBack(StateMachine):
-    """A machine whose transition overwrites the result of its exit action, so that the input is not needed."""
-
-    inputs = (Port("u"),)
-    outputs = (Port("y"),)
-    variables = (State("y"),)
-    modes = (Mode("one", exit=lambda u: {"y": u.u}), Mode("other"))
-    transitions = (Transition("one", "other", True, do={"y": 3.0}),)
-
-
-@pytest.mark.parametrize("others", [True, False])
-def test_inputs_of_overwritten_actions_are_not_needed(others: bool) -> None:
-    d = Diagram("late")
-    d.input("u")
-    d.add("machine", TakenBack())
-    d.add("zero", Bias(1.0), u="u")
-    d.connect("zero", "machine.u")
-    d.output("y", "machine.y")
-    if others:
-        d.output("z", "zero.y")
-    expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
-    for _ in range(3):
-        assert compiled.step({"u": 5.0}) == expected.step({"u": 5.0})
-
-
-def test_a_slow_machine_reads_what_a_fast_block_reads_too() -> None:
-    """The base tick has computed the held input's value already, and no output of the machine is read."""
-    inner = Diagram("inner")
-    inner.input("on", "bool")
-    inner.add("later", UnitDelay(kind="bool"), u="on")
-    inner.output("on", "later")
-    d = Diagram("slow")
-    d.input("push", "bool")
-    d.add("fast", Logic("not"), a="push")
-    d.add("idle", inner, reset="push", on="fast")
-    d.add("held", ZeroOrderHold("bool"), rate=(2, 1), u="push")
-    d.add("door", Door(), rate=(2, 1), push="held", lock="held")
-    d.output("idle", "idle.on")
-    expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
-    for k in range(6):
-        row = {"push": k == 3}
-        assert compiled.step(row) == expected.step(row)
-    assert compiled.state("door.mode") == expected.state("door.mode") == 0
-    assert compiled.state("door.elapsed") == expected.state("door.elapsed")
-
-
-class Deaf(Door):
-    """A door with an input that nothing reads."""
-
-    inputs = (*Door.inputs, Port("unread"))
-
-
-def test_an_unread_input_does_not_wake_its_source() -> None:
-    inner = Diagram("inner")
-    inner.input("u")
-    inner.add("double", Bias(1.0), u="u")
-    inner.output("y", "double")
-    d = Diagram("house")
-    for name, kind in (("u", "real"), ("on", "bool")):
-        d.input(name, kind)
-    d.add("asleep", inner, enable="on", u="u")
-    d.add("door", Deaf(), push="on", lock="on", unread="asleep.y")
-    d.output("open", "door.open")
-    d.output("y", "asleep.y")
-    expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
-    for k in range(4):
-        row = {"u": float(k), "on": k == 1}
-        assert compiled.step(row) == expected.step(row)

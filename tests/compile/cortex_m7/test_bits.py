@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import random
-
 import numpy as np
 import pytest
 
 from tests.blocks.library.samples import random_inputs
-from tests.compile import examples
 from tests.compile.differential import same
 from tests.toolchains import need
 from twodof.compile import build
@@ -33,20 +30,3 @@ def test_the_level_of_optimisation_changes_no_bit(optimise: str) -> None:
     assert [name for name in here if not same(here[name], there[name]).all()] == []
     for path in machines[0].program.states:
         assert same(*(np.atleast_1d(np.array(machine.state(path))) for machine in machines)).all(), path
-
-
-def test_machines_stepped_in_turn_do_not_mix() -> None:
-    need("qemu-system-arm")
-    program = build(examples.loop(), 0.01, target="cortex-m7")
-    r = random.Random(1)
-    rows = np.array([r.gauss(0, 1) for _ in range(300)])
-    once, first, second = (program.machine() for _ in range(3))
-    second.set("k", 5.0)
-    together = once.run(300, {"r": rows})
-    ours, theirs = [], []
-    for value in rows:
-        ours.append(first.step({"r": value})["y"])
-        theirs.append(second.step({"r": -value})["y"])
-    assert np.array_equal(together["y"], ours)
-    assert not np.array_equal(together["y"], np.negative(theirs))  # another gain
-    assert first.tick == second.tick == 300

@@ -89,13 +89,6 @@ def test_a_bool_that_moves_the_model_is_named_and_can_be_held() -> None:
     assert linearize(chain(Alternating()), DT, at={"b0.odd": True}).b[0, 0] == 2.0
 
 
-def test_a_counter_that_moves_nothing_is_no_matter() -> None:
-    d = chain(lib.Delay(7))
-    d.input("on", "bool")
-    d.add("count", lib.Counter(5), **{port.name: "on" for port in lib.Counter(5).inputs})
-    assert len(linearize(d, DT).states) == 7
-
-
 def test_noise_and_sources_are_offsets() -> None:
     d = chain(lib.FirstOrder(2.0, 0.3))
     d.add("noise", lib.Noise(0.1))

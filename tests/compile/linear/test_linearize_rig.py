@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from twodof.blocks import Diagram
-from twodof.compile import build
 from twodof.compile.linear import integer_states
-from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import DiagramError
 from twodof.rig.rig import BASE_DT, TRUTH, rig
@@ -75,52 +72,6 @@ def test_the_rig_at_hover_is_its_equations_behind_the_rotors_delay() -> None:
     assert set(model.remarks) == {"battery.supply"}  # level and in trim, more thrust moves nothing
 
 
-def flights(model: LinearModel, at: dict[str, Any], outputs: list[str], small: float) -> tuple[Array, Array]:
-    """(found, expected): half the difference of two compiled flights about the point, and the model's answer.
-
-    The commands change once a period of the model, up and down by `small`.
-    """
-    assert model.dt is not None
-    period = round(model.dt / BASE_DT)
-    u = np.random.Generator(np.random.PCG64(4)).uniform(-small, small, (1200 // period, 2))
-    machine = build(rig(), BASE_DT).machine()
-
-    def flight(sign: float) -> Array:
-        machine.set_many({n: v for n, v in at.items() if n in rig().params})
-        machine.reset()
-        for path, value in at.items():
-            if "." in path:
-                machine.set_state(path, value)
-        commands = THRUST + sign * np.repeat(u, period, axis=0)
-        out = machine.run(len(commands), {"fore": commands[:, 0], "aft": commands[:, 1]})
-        return np.array([out[n][::period] for n in outputs]).T
-
-    x, expected = np.zeros(len(model.a)), np.empty((len(u), len(outputs)))
-    b, d = model.b[:, :2], model.d[:, :2]
-    for k in range(len(u)):
-        expected[k] = model.c @ x + d @ u[k]
-        x = model.a @ x + b @ u[k]
-    return (flight(1.0) - flight(-1.0)) / 2.0, expected
-
-
-@pytest.mark.soak
-def test_the_whole_rig_flies_as_the_model_of_its_common_period_says() -> None:
-    """Battery, accelerometer and gyro with it: 40 ms, in which the load passes the battery once."""
-    outputs = ["voltage", "load", "acc_x", "acc_z", "gyro_y", *TRUTH]
-    load = 1.0  # and the factor on the thrust, where the pack's resistance makes both rest
-    for _ in range(60):
-        load = ((10.5 + 2.1 * 0.9 - 0.03 * 6.0 * load**1.5) / (12.6 - 0.03 * 6.0)) ** 2
-    at = HOVER | {"noise": 0.0, "charge_start": 0.9, "capacity": 1e9, "battery.load": load}
-    model = linearize(rig(), BASE_DT, at=at, outputs=outputs)
-    assert model.dt == pytest.approx(0.04)
-    assert set(model.remarks) == {"acc_z"}  # level, it sees gravity's cosine alone
-    found, expected = flights(model, at, outputs, 1e-6)
-    scale = np.abs(expected).max(axis=0)
-    scale[outputs.index("acc_z")] = 1.0
-    # Roundings of numbers of about 10 beside motions of 1e-7.
-    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-6)
-
-
 def test_the_range_sensors_own_clock_is_refused_with_the_outputs_that_do_without(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -137,15 +88,3 @@ def test_on_a_stop_and_held_by_friction_it_is_refused() -> None:
         with pytest.raises(DiagramError, match="on a kink") as found:
             linearize(rig(), BASE_DT, at=HOVER | at, inputs=cut, outputs=TRUTH)
         assert found.value.where == "dynamics"
-
-
-def test_what_is_cut_may_be_linearized_in_a_diagram_around_the_rig() -> None:
-    d = Diagram("bench")
-    d.input("M")
-    d.add("rig", rig(), fore="M", aft="M")
-    d.output("v", "rig.v")
-    at = {"M": THRUST, **{f"rig.{n}": v for n, v in HOVER.items() if "." in n}, "rig.dynamics.theta": 0.1}
-    cut = ["M", "rig.battery.supply", "rig.turbulence.moment"]
-    model = linearize(d, BASE_DT, at=at, inputs=cut)
-    assert model.b.any()
-    assert "rig.range.ring" in model.left_out
