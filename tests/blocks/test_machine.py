@@ -60,6 +60,9 @@ def test_every_machine_refuses_the_same_with_the_same_words(make: Callable[[], M
         ("count.signed", 2**31, r"count.signed: 2147483648 is outside -2147483648 to 2147483647"),
         ("count.unsigned", -1, r"count.unsigned: -1 is outside 0 to 4294967295"),
         ("count.signed", np.int64(-(2**40)), "is outside"),
+        ("count.signed", 2**32 + 3, "is outside"),
+        ("count.signed", [1], "count.signed: "),
+        ("count.signed", 2.5, "count.signed: "),
         ("count.gain", 2.5, r"count.gain: 2.5 is outside 0 to 2"),
         ("count.gain", float("nan"), "nan is outside"),
         ("count.gain", "much", "it takes real, not the text .much. .give a number"),
@@ -76,7 +79,8 @@ def test_every_machine_refuses_the_same_with_the_same_words(make: Callable[[], M
         (lambda: machine.step({"v": 1.0}), "no input named 'v'.*there are: u, pair"),
         (lambda: machine.run(5, {"u": [1.0, 2.0]}), "u: "),
         (lambda: machine.run(2, {"u": ["a", "b"]}), "u: an array of <U1"),
-        (lambda: machine.run(-1), "-1 is not a possible number of steps"),
+        (lambda: machine.step({"u": "1"}), "u: "),
+        *((lambda n=n: machine.run(n), "is not a possible number of steps") for n in (-1, 1.5, None, True, 10**12)),
     ):
         with pytest.raises(DiagramError, match=said):
             wrong()

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.blocks.samples import Adder, Bouncer, Counter, Gain, Hold, Lag, Late, Memory, chain
+from tests.blocks.samples import Bouncer, Counter, Gain, Hold, Lag, Late, Memory, chain
 from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
@@ -36,14 +36,6 @@ def test_two_blocks_that_exchange_states_read_the_same_tick() -> None:
     assert [tuple(m.step().values()) for _ in range(3)] == [(1, 0), (0, 1), (1, 0)]
 
 
-def test_a_slow_part_holds_between_its_ticks_and_counts_from_its_offset() -> None:
-    d = Diagram("rates")
-    d.add("slow", Counter(), rate=(4, 1))
-    d.output("n", "slow")
-    n = Reference(d, 1.0).machine().run(12)["n"]
-    assert n.tolist() == [0, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2]
-
-
 def test_rates_inside_a_part_count_the_parts_own_ticks() -> None:
     inner = Diagram("inner")
     inner.add("n", Counter(), rate=(2, 1))
@@ -71,41 +63,6 @@ def test_a_rate_crossing_must_be_explicit() -> None:
     e.output("y", "slow")
     y = Reference(e, 1.0).machine().run(9, {"r": np.arange(9.0)})["y"]
     assert y.tolist() == [0, 0, 0, 0, 16, 16, 16, 16, 32]
-
-
-def switched(disabled: str = "hold") -> Diagram:
-    inner = Diagram("inner")
-    inner.input("u")
-    inner.add("sum", Adder(), a="u")
-    inner.add("memory", Memory(), u="sum")
-    inner.connect("memory", "sum.b")
-    inner.output("y", "sum")
-    d = Diagram("switched")
-    d.input("u")
-    d.input("on", "bool")
-    d.input("clear", "bool")
-    d.add("part", inner, u="u", enable="on", reset="clear", disabled=disabled)
-    d.output("y", "part")
-    return d
-
-
-@pytest.mark.parametrize(("disabled", "seen"), [("hold", [1, 2, 2, 2, 3, 4]), ("reset", [1, 2, 0, 0, 3, 4])])
-def test_a_disabled_part_freezes_its_states_and_holds_or_clears_its_outputs(disabled: str, seen: list[int]) -> None:
-    y = (
-        Reference(switched(disabled), 1.0)
-        .machine()
-        .run(6, {"u": 1.0, "on": np.array([True, True, False, False, True, True])})["y"]
-    )
-    assert y.tolist() == seen
-
-
-def test_a_reset_acts_in_its_own_tick() -> None:
-    y = (
-        Reference(switched(), 1.0)
-        .machine()
-        .run(5, {"u": 1.0, "on": True, "clear": np.array([False, False, True, False, False])})["y"]
-    )
-    assert y.tolist() == [1, 2, 1, 2, 3]  # in tick 2 the memory reads as its initial 0, and the sum is 0 + 1
 
 
 def test_an_edge_splits_the_step_so_that_a_held_signal_turns_late_exactly() -> None:

@@ -36,15 +36,27 @@ def library(kind: str, **config: Any) -> bytes:
     return file(parts=[{"name": "g", "block": {"type": kind, "config": config}}])
 
 
+def part(**changes: Any) -> bytes:
+    """A diagram of one sub-diagram, `changes` being to the part."""
+    return file(parts=[{"name": "part", "diagram": {"name": "part"}, **changes}])
+
+
+def gain(**changes: Any) -> bytes:
+    """A diagram of one gain, not connected, `changes` being to the part."""
+    return file(parts=[{"name": "g", "block": {"type": "gain"}, **changes}])
+
+
+def param(rest: str) -> bytes:
+    """A diagram of one parameter, the rest of whose declaration is written by hand."""
+    return raw(f'{{"name": "d", "params": [{{"name": "k", {rest}}}]}}')
+
+
 def nested(depth: int, **leaf: Any) -> Form:
     """A diagram within `depth` others."""
     data: Form = {"name": "leaf", **leaf}
     for _ in range(depth):
         data = {"name": "level", "parts": [{"name": "inner", "diagram": data}]}
     return data
-
-
-PART: Form = {"name": "part", "diagram": {"name": "part"}}
 
 
 def restarting(depth: int, states: int) -> bytes:
@@ -357,22 +369,19 @@ def named(name: str) -> dict[str, bytes]:
 
 
 SECTION = '"name": "d", "inputs": [{"name": "u"}]'
+CIRCLE: Form = {"name": "s", "diagram": {"name": "s", "inputs": [{"name": "a"}], "outputs": [["b", "a"]]}}
+KINDS = "is missing or of the wrong kind"
+MANY = {"y": [0] * 200_000}
 MALFORMED: dict[str, tuple[bytes, str]] = {
     "nothing": (b"", "no JSON"),
     "no UTF-8": (b'{"schema": "\xff"}', "no JSON"),
-    "NaN": (raw('{"name": "d", "params": [{"name": "k", "value": NaN}]}'), "NaN is no JSON number"),
-    "Infinity": (raw('{"name": "d", "params": [{"name": "k", "value": -Infinity}]}'), "-Infinity is no JSON number"),
-    "1e999": (raw('{"name": "d", "params": [{"name": "k", "value": 1e999}]}'), "beyond the largest float64"),
-    "-1e999": (raw('{"name": "d", "params": [{"name": "k", "low": -1e999}]}'), "beyond the largest float64"),
-    "1.8e308": (raw('{"name": "d", "params": [{"name": "k", "value": 1.8e308}]}'), "beyond the largest float64"),
-    "a float of 10^6 digits": (
-        raw('{"name": "d", "params": [{"name": "k", "value": ' + "1" * 10**6 + ".0}]}"),
-        "beyond the largest float64",
-    ),
-    "an integer of 10^5 digits": (
-        raw('{"name": "d", "params": [{"name": "k", "value": ' + "1" * 10**5 + "}]}"),
-        "an integer of 100000 digits",
-    ),
+    "NaN": (param('"value": NaN'), "NaN is no JSON number"),
+    "Infinity": (param('"value": -Infinity'), "-Infinity is no JSON number"),
+    "1e999": (param('"value": 1e999'), "beyond the largest float64"),
+    "-1e999": (param('"low": -1e999'), "beyond the largest float64"),
+    "1.8e308": (param('"value": 1.8e308'), "beyond the largest float64"),
+    "a float of 10^6 digits": (param(f'"value": {"1" * 10**6}.0'), "beyond the largest float64"),
+    "an integer of 10^5 digits": (param(f'"value": {"1" * 10**5}'), "an integer of 100000 digits"),
     "a version of 10^5 digits": (b'{"schema": "twodof/diagram", "version": ' + b"1" * 10**5 + b"}", "100000 digits"),
     "a true version": (b'{"schema": "twodof/diagram", "version": true, "diagram": {}}', "version True"),
     "a key twice": (raw(f'{{{SECTION}, "name": "e"}}'), "'name' stands twice"),
@@ -382,17 +391,11 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
         "'k' stands twice",
     ),
     "an escaped key twice": (raw(f'{{{SECTION}, "n\\u0061me": "e"}}'), "'name' stands twice"),
-    "an unknown key of the file": (
-        b'{"schema": "twodof/diagram", "version": 1, "diagram": {"name": "d"}, "run": "x"}',
-        "unknown key 'run'",
-    ),
+    "an unknown key of the file": (file()[:-1] + b', "run": "x"}', "unknown key 'run'"),
     "an unknown key of a diagram": (file(part=[]), "unknown key 'part'"),
-    "an unknown key of a part": (file(parts=[{"name": "g", "block": {"type": "gain"}, "reset_": "u"}]), "'reset_'"),
+    "an unknown key of a part": (gain(reset_="u"), "'reset_'"),
     "an unknown key of a block": (custom(python="import os"), "unknown key 'python'"),
-    "an unknown key beside a block's type": (
-        file(parts=[{"name": "g", "block": {"type": "gain", "nodes": []}}]),
-        "unknown key 'nodes'",
-    ),
+    "an unknown key beside a block's type": (gain(block={"type": "gain", "nodes": []}), "unknown key 'nodes'"),
     "half a surrogate pair in a text": (file(text="a\udc80"), r"U\+DC80"),
     "a text that is reordered": (file(text="abc\u202edef"), r"U\+202E"),
     "a text of no width": (file(params=[{"name": "k", "text": "\u200b"}]), r"U\+200B"),
@@ -402,72 +405,32 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     "a newline in a unit": (file(inputs=[{"name": "u", "unit": "m\n"}]), r"U\+000A"),
     "a unit that looks like another": (file(inputs=[{"name": "u", "unit": "\u212b"}]), "NFKC"),
     "a unit in another normal form": (file(inputs=[{"name": "u", "unit": "A\u030a"}]), "NFKC"),
-    "a position of an input that is not there": (
-        file(input_positions={"nobody": [0.0, 0.0]}),
-        "input_positions",
-    ),
-    "a position of an output beyond all screens": (
-        file(outputs=[["y", None]], output_positions={"y": [0.0, -1e300]}),
-        "position",
-    ),
-    "a flip that is a number": (
-        file(parts=[{"name": "g", "block": {"type": "gain"}, "flipped": 1}]),
-        "flipped",
-    ),
-    "a block commented without a sub-diagram": (
-        file(parts=[{"name": "g", "block": {"type": "gain"}, "commented": "out"}]),
-        "of a sub-diagram",
-    ),
-    "a word for a comment": (
-        file(parts=[{"name": "g", "diagram": {"name": "g"}, "commented": "away"}]),
-        "write .out. or .through.",
-    ),
-    "a position beyond all screens": (
-        file(parts=[{"name": "g", "block": {"type": "gain"}, "position": [1e300, 0]}]),
-        "position",
-    ),
-    "a rate of 2^31": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [2**31, 0]}]), "is impossible"),
-    "a negative offset": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [2, -1]}]), "is impossible"),
-    "a rate of a half": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [0.5, 0]}]), "is impossible"),
+    "a position of an input that is not there": (file(input_positions={"nobody": [0.0, 0.0]}), "input_positions"),
+    "an output beyond all screens": (file(outputs=[["y", None]], output_positions={"y": [0.0, -1e300]}), "position"),
+    "a flip that is a number": (gain(flipped=1), "flipped"),
+    "a block commented without a sub-diagram": (gain(commented="out"), "of a sub-diagram"),
+    "a word for a comment": (part(commented="away"), "write .out. or .through."),
+    "a position beyond all screens": (gain(position=[1e300, 0]), "position"),
+    "a rate of 2^31": (gain(rate=[2**31, 0]), "is impossible"),
+    "a negative offset": (gain(rate=[2, -1]), "is impossible"),
+    "a rate of a half": (gain(rate=[0.5, 0]), "is impossible"),
     "the argument self": (library("gain", self=1), "cannot be made"),
     "an argument that is no argument": (library("gain", __class__=1), "unexpected keyword argument '__class__'"),
     "a matrix with NaN": (library("matrix_gain", K=[[{"float": "nan"}]]), r"K\[0\]\[0\] = nan is not finite"),
     "a table in a table": (custom(params=[{"name": "k", "width": 2, "value": [[1], [2]]}]), "it takes real"),
     "an object for a number": (custom(params=[{"name": "k", "value": {"a": 1}}]), "it takes real"),
-    "a trigger that is a number": (file(parts=[{**PART, "trigger": 1}]), "'trigger' is missing or of the wrong kind"),
-    "another edge": (file(parts=[{**PART, "trigger": "u", "edge": "rise"}]), "edge='rise'"),
-    "another enabling": (file(parts=[{**PART, "enabling": "afresh"}]), "enabling='afresh'"),
-    "a value when disabled of nothing": (
-        file(parts=[{**PART, "enable": "u", "disabled": {"y": 1}}]),
-        "no output named 'y' to reset",
-    ),
-    "a number when disabled": (file(parts=[{**PART, "disabled": 1}]), "'disabled' is missing or of the wrong kind"),
-    "values when disabled beyond number": (
-        file(parts=[{**PART, "enable": "u", "disabled": {"y": [0] * 200_000}}]),
-        "more than 100000 numbers",
-    ),
-    "an initial value of nothing": (file(parts=[{**PART, "initial": {"y": 1}}]), "no output named 'y'"),
-    "initial values that are none": (
-        file(parts=[{**PART, "initial": [1]}]),
-        "'initial' is missing or of the wrong kind",
-    ),
-    "an initial value of 200,000 numbers": (
-        file(parts=[{**PART, "initial": {"y": [0] * 200_000}}]),
-        "more than 100000 numbers",
-    ),
+    "a trigger that is a number": (part(trigger=1), f"'trigger' {KINDS}"),
+    "another edge": (part(trigger="u", edge="rise"), "edge='rise'"),
+    "another enabling": (part(enabling="afresh"), "enabling='afresh'"),
+    "a value when disabled of nothing": (part(enable="u", disabled={"y": 1}), "no output named 'y' to reset"),
+    "a number when disabled": (part(disabled=1), f"'disabled' {KINDS}"),
+    "values when disabled beyond number": (part(enable="u", disabled=MANY), "more than 100000 numbers"),
+    "an initial value of nothing": (part(initial={"y": 1}), "no output named 'y'"),
+    "initial values that are none": (part(initial=[1]), f"'initial' {KINDS}"),
+    "an initial value of 200,000 numbers": (part(initial=MANY), "more than 100000 numbers"),
     "60 diagrams that restart 2,000 states": (restarting(60, 2000), "100000 ports and states in diagrams that restart"),
     "a connection in a circle": (
-        file(
-            inputs=[{"name": "u"}],
-            parts=[
-                {
-                    "name": "s",
-                    "diagram": {"name": "s", "inputs": [{"name": "a"}], "outputs": [["b", "a"]]},
-                }
-            ],
-            connections=[["s", "s.a"]],
-            outputs=[["y", "s"]],
-        ),
+        file(inputs=[{"name": "u"}], parts=[CIRCLE], connections=[["s", "s.a"]], outputs=[["y", "s"]]),
         "leads back to itself",
     ),
 }

@@ -58,6 +58,11 @@ def _many(leaves: int, ways: int, nodes: list[Any], guards: list[int]) -> bytes:
     )
 
 
+def _guarded(leaves: int, ways: int) -> bytes:
+    """Return the same with as many guards as ways, of which none hides another."""
+    return _many(leaves, ways, _guards(ways), [3 + 2 * k for k in range(ways)])
+
+
 def hostile_machines() -> dict[str, tuple[bytes, str]]:
     """Files, and the pattern of the error that each must give."""
     deep: Form = {"name": "m", "during": {"y": 1}}
@@ -74,14 +79,8 @@ def hostile_machines() -> dict[str, tuple[bytes, str]]:
         ),
         "2,000 transitions": (machine(transitions=two * 1000), "2000 transitions"),
         "modes 200 deep": (machine(modes=[deep]), "nested more than two levels"),
-        "ways out of each of 200 modes": (
-            _many(199, 90, _guards(90), [3 + 2 * k for k in range(90)]),
-            "more than 100 ways",
-        ),
-        "200 ways out of one mode": (
-            _many(1, 200, _guards(200), [3 + 2 * k for k in range(200)]),
-            "more than 100 ways",
-        ),
+        "ways out of each of 200 modes": (_guarded(199, 90), "more than 100 ways"),
+        "200 ways out of one mode": (_guarded(1, 200), "more than 100 ways"),
         "a long guard in many ways": (_many(90, 20, _sums(9000), [9003]), "more than 50000 operations"),
         "a loop's variable as a guard": (
             machine(
@@ -116,9 +115,8 @@ def large_machines() -> dict[str, bytes]:
     """Files of machines that are as large as they may be, or look larger than they are."""
     stays = [{"from": "off", "to": "on", "when": 202}, {"from": "on", "to": "off", "when": 0}]
     modes = [{"name": "off", "during": {"y": 2}}, {"name": "on", "during": {"y": 1}}]
-    hundred = _guards(100), [3 + 2 * k for k in range(100)]
     return {
-        "100 ways out of one mode": _many(1, 100, *hundred),
-        "1,900 ways": _many(19, 100, *hundred),
+        "100 ways out of one mode": _guarded(1, 100),
+        "1,900 ways": _guarded(19, 100),
         "a guard that is 2^200 operands as a tree": machine(nodes=_doubled(200), transitions=stays, modes=modes),
     }

@@ -1,4 +1,4 @@
-"""Images: both compilers, the cache, what does not fit, what is missing; sizes as binutils read them."""
+"""Images: both compilers, levels of optimisation, the cache, what does not fit, what is missing, sizes."""
 
 from __future__ import annotations
 
@@ -8,18 +8,24 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.blocks.library.samples import random_inputs
 from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, STEP, image
+from tests.compile.differential import same
 from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import build
 from twodof.compile.cortex_m7.image import find_cross_compiler
+from twodof.compile.cortex_m7.processor import CortexM7
 from twodof.compile.cortex_m7.report import image_sizes
 from twodof.compile.toolchain import compilers
 from twodof.compile.toolchain.compilers import Compiler
 from twodof.errors import CompileError
+from twodof.flight.core import core
+from twodof.signals import PERIOD
 
 pytestmark = pytest.mark.slow
 
@@ -91,3 +97,20 @@ def test_the_sizes_are_those_that_binutils_read(tmp_path: Path) -> None:
     assert (ours.data, ours.bss) == (theirs[".data"], theirs[".bss"])
     assert ours.data >= 12
     assert ours.bss >= 100
+
+
+STEPS = 5000
+
+
+@pytest.mark.parametrize("optimise", ["-O0", "-Os", *(pytest.param(o, marks=pytest.mark.soak) for o in ("-O1", "-O3"))])
+def test_the_level_of_optimisation_changes_no_bit(optimise: str) -> None:
+    need("qemu-system-arm", "arm-none-eabi-gcc")
+    inputs = {
+        name: column.astype("float32") if column.dtype.kind == "f" else column
+        for name, column in random_inputs(core(), STEPS, 1, False).items()
+    }
+    machines = [build(core(), PERIOD, "float32", target=t).machine() for t in ("native", CortexM7("gcc", optimise))]
+    here, there = (machine.run(STEPS, inputs) for machine in machines)
+    assert [name for name in here if not same(here[name], there[name]).all()] == []
+    for path in machines[0].program.states:
+        assert same(*(np.atleast_1d(np.array(machine.state(path))) for machine in machines)).all(), path

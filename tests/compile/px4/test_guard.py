@@ -169,6 +169,10 @@ def test_a_gyro_that_falls_silent_in_flight_is_told_and_px4_is_asked_to_disarm(b
     assert 0.5 <= first <= 0.56
     assert 0.5 <= second - first <= 0.52
     assert not events.topic("vehicle_torque_setpoint")["xyz"][50:].any()
+    silent = events.topic("twodof_pitch")[50:]  # one each 20 ms, the first of them 20 ms after the last sample
+    assert len(silent) == 60
+    assert (silent["faults"] == STALE).all()
+    assert not silent["active"].any()
 
 
 def test_once_px4_has_disarmed_it_is_not_asked_again(bench: Bench) -> None:

@@ -125,19 +125,6 @@ def test_a_measurement_that_is_not_finite_stops_the_motors(bench: Bench, what: s
     assert not events.topic("vehicle_torque_setpoint")["xyz"][5].any()
 
 
-def test_a_silent_gyro_stops_the_motors(bench: Bench) -> None:
-    fly(bench, 5)
-    for _ in range(10):
-        bench.at(bench.now + 5 * PERIOD)
-        mode(bench)
-    events = bench.run()
-    rows, torque = events.topic("twodof_pitch"), events.topic("vehicle_torque_setpoint")
-    assert len(rows) == 15  # one each 20 ms, the first of them 20 ms after the last sample
-    assert (rows["faults"][5:] == STALE).all()
-    assert not torque["xyz"][5:].any()
-    assert not rows["active"][5:].any()
-
-
 def test_a_missing_set_point_is_replaced_and_said(bench: Bench) -> None:
     fly(bench, 5)
     fly(bench, 5, theta_0=math.nan)

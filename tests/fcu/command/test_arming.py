@@ -38,11 +38,7 @@ def test_arming_is_an_edge_that_the_failsafe_answers_in_its_tick() -> None:
     assert cockpit.commander.arming.answer.accepted
     assert cockpit.commander.armed
     assert cockpit.commander.arming.arm(ME).accepted
-
-
-def test_armed_and_nothing_asked_the_motors_are_off() -> None:
-    cockpit = armed()
-    assert cockpit.run(10) == ControlInput(arm=True, link_new=True)
+    assert cockpit.run(10) == ControlInput(arm=True, link_new=True)  # nothing is asked: the motors are off
 
 
 @pytest.mark.parametrize("cause", sorted(BIT))
@@ -66,20 +62,6 @@ def test_every_cause_that_the_failsafe_has_refuses_arming_by_its_name(cause: str
     assert cockpit.failsafe.state == DISARMED
 
 
-def test_arming_is_refused_by_safety_switch_rings_and_before_any_sensor_was_heard() -> None:
-    cockpit = Cockpit()
-    assert "no sensor" in cockpit.commander.arming.arm(ME).text
-    cockpit.run(2)
-    cockpit.rig.safety_off = False
-    assert "safety switch" in cockpit.commander.arming.arm(ME).text
-    cockpit.rig.safety_off = True
-    cockpit.commander.set_mode(ME, modes.POSITION)
-    cockpit.rig.rings = True
-    assert "rings_wrong" in cockpit.commander.arming.arm(ME).text
-    cockpit.rig.rings = False
-    assert cockpit.arm().accepted
-
-
 @pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE, modes.POSITION])
 def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
     cockpit = Cockpit()
@@ -100,12 +82,6 @@ def test_sticks_count_for_half_a_second(ago: int, arms: bool) -> None:
     cockpit.commander.sticks(ME, 0.1, 0.4)
     cockpit.run(ago)
     assert cockpit.arm().accepted == arms
-
-
-def test_a_stream_with_thrust_that_goes_on_in_offboard_does_not_keep_from_arming() -> None:
-    cockpit = streaming()
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    assert cockpit.arm().accepted
 
 
 @pytest.mark.parametrize("kind", [OPENLOOP, STICKS])
@@ -141,22 +117,13 @@ def test_in_offboard_a_stream_without_thrust_arms_and_stands() -> None:
     assert cockpit.run().mode == ATTITUDE
 
 
-def test_what_an_old_stream_asked_for_does_not_fly_after_arming() -> None:
+@pytest.mark.parametrize(("mode", "ago"), [(modes.OFFBOARD, FRESH + 1), (modes.MANUAL, 0)])
+def test_an_old_stream_and_one_in_another_mode_do_not_fly_after_arming(mode: int, ago: int) -> None:
     cockpit = streaming()
-    cockpit.run(FRESH + 1)
+    cockpit.commander.set_mode(ME, mode)
+    cockpit.run(ago)
     assert cockpit.arm().accepted
     assert cockpit.run(20).mode == OFF
-
-
-def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() -> None:
-    cockpit = streaming()
-    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
-    cockpit.failsafe.causes = BIT["tilted"]
-    cockpit.run(2)
-    assert "tilted" in cockpit.commander.arming.answer.text
-    cockpit.failsafe.causes = 0
-    cockpit.run()
-    assert cockpit.arm().accepted
 
 
 def test_asking_again_and_again_does_not_wait_for_longer() -> None:
@@ -169,14 +136,6 @@ def test_asking_again_and_again_does_not_wait_for_longer() -> None:
         if cockpit.commander.arming.answer.result == MavResult.FAILED:
             break
     assert tick < 30
-
-
-def test_what_is_streamed_in_another_mode_than_offboard_does_not_fly_when_it_arms() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    assert cockpit.arm().accepted
-    assert cockpit.run(5).mode == OFF
 
 
 def test_a_set_point_for_the_very_tick_in_which_it_arms_flies_from_the_next_on() -> None:
@@ -249,15 +208,11 @@ def test_it_is_waited_for_a_tenth_of_a_second() -> None:
 
 
 @pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
-def test_disarming_is_obeyed_whoever_asks_in_the_next_tick(source: tuple[int, int]) -> None:
+def test_disarming_and_a_kill_are_obeyed_whoever_asks_and_a_kill_holds(source: tuple[int, int]) -> None:
     cockpit = offboard()
     assert cockpit.commander.arming.disarm(source).accepted
     assert cockpit.run() == ControlInput(link_new=True)
     assert not cockpit.commander.armed
-
-
-@pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
-def test_a_kill_is_obeyed_whoever_asks_and_holds_until_it_is_released(source: tuple[int, int]) -> None:
     cockpit = offboard()
     assert cockpit.commander.arming.kill(source).accepted
     assert cockpit.run() == ControlInput(link_new=True)
@@ -282,15 +237,25 @@ def test_a_kill_is_obeyed_whoever_asks_and_holds_until_it_is_released(source: tu
 def test_a_program_that_cleans_up_behind_itself_does_not_undo_the_kill_that_ended_it(killer: tuple[int, int]) -> None:
     """Its block ends by a disarming; then it is started again, disarms, resets and arms."""
     cockpit = offboard()
-    cockpit.commander.arming.kill(killer)
-    cockpit.run()
-    for _ in range(2):
-        assert cockpit.commander.arming.disarm(ME).accepted
-        cockpit.commander.restart()
+    commander = cockpit.commander
+
+    def started_again() -> None:
+        assert commander.arming.disarm(ME).accepted
+        commander.restart()
         cockpit.failsafe.state, cockpit.tick = DISARMED, 0
         cockpit.run(2)
-        assert "killed by" in cockpit.commander.arming.arm(ME).text
+
+    commander.arming.kill(killer)
+    cockpit.run()
+    for _ in range(2):
+        started_again()
+        assert "killed by" in commander.arming.arm(ME).text
         assert not cockpit.run(5).arm
+        assert commander.system_status == modes.TERMINATED
+    assert commander.arming.release(ME).accepted
+    assert cockpit.arm().accepted
+    started_again()
+    assert not commander.arming.killed_by, "nor does a reset kill"
 
 
 def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none() -> None:
@@ -303,24 +268,6 @@ def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none(
     assert verdict == rejected("release refused: system 250, component 190 holds the lease", RefusalReason.LEASE)
     assert cockpit.commander.arming.killed_by is not None
     assert len(cockpit.commander.remarks) == said + 1
-
-
-def test_a_kill_holds_over_a_reset() -> None:
-    cockpit = offboard()
-    assert cockpit.commander.arming.kill(OTHER).accepted
-    cockpit.run()
-    cockpit.commander.restart()
-    cockpit.failsafe.state = DISARMED
-    assert cockpit.commander.arming.killed_by is not None
-    cockpit.tick = 0
-    cockpit.run()
-    assert "killed" in cockpit.commander.arming.arm(ME).text
-    assert cockpit.commander.system_status == modes.TERMINATED
-    assert cockpit.commander.arming.release(ME).accepted
-    assert cockpit.arm().accepted
-    cockpit.commander.arming.disarm(ME)
-    cockpit.commander.restart()
-    assert not cockpit.commander.arming.killed_by, "nor does a reset kill"
 
 
 def test_arming_acknowledges_a_stop_by_the_failsafe() -> None:
@@ -344,16 +291,9 @@ def test_a_repeated_request_does_not_arm_after_a_stop() -> None:
     cockpit.run(2)
     cockpit.failsafe.acts = None
     assert "stopped the motors" in cockpit.commander.arming.arm(ME, repeated=True).text
-    assert cockpit.arm().accepted
-
-
-def test_the_failsafe_sees_a_disarming_before_it_arms_again() -> None:
-    cockpit = offboard()
-    cockpit.failsafe.acts = STOPPED_BY_FAILSAFE
-    cockpit.run(2)
-    cockpit.failsafe.acts = None
     assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
-    assert [cockpit.run().arm for _ in range(2)] == [False, True]
+    assert [cockpit.run().arm for _ in range(2)] == [False, True], "the failsafe sees a disarming first"
+    assert cockpit.commander.arming.answer.accepted
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

@@ -10,6 +10,7 @@ import pytest
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof.excitation import Impulse
 from twodof.fcu.command.command_lease import CommandResult, rejected
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
 from twodof.fcu.command.setpoints import HORIZON
 from twodof.flight.failsafe.causes_and_actions import BIT
@@ -20,6 +21,9 @@ from twodof.signals import POSITION
 
 REJECTED = MavResult.TEMPORARILY_REJECTED
 WHO = "system 250, component 190 holds"
+NONE = "is missing, incomplete or already played"
+LOCKED = "moves the cart, and the rings lock it"
+FAR = "is past or more than a minute ahead, the next is 4"
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))
 PITCHING = written_out(Impulse(0.1, 0.02, unit="rad"))
 MOVING = written_out(Impulse(0.1, 0.02, unit="m"))
@@ -63,10 +67,16 @@ def on_the_ground(causes: int = 0) -> Cockpit:
     return cockpit
 
 
-def unfit() -> CommandResult:
+def unready(what: str) -> Commander:
+    """One on the ground that a controller in the making, the safety switch or the rings keep from arming."""
     cockpit = on_the_ground()
-    cockpit.commander.unfit = lambda: "a controller is being built"
-    return cockpit.commander.arming.arm(ME)
+    cockpit.rig.safety_off = what != "switch"
+    if what == "rings":
+        cockpit.commander.set_mode(ME, modes.POSITION)
+        cockpit.rig.rings = True
+    if what == "unfit":
+        cockpit.commander.unfit = lambda: "a controller is being built"
+    return cockpit.commander
 
 
 def killed() -> CommandResult:
@@ -75,108 +85,71 @@ def killed() -> CommandResult:
     return cockpit.commander.arming.arm(ME)
 
 
-def switched() -> CommandResult:
-    cockpit = on_the_ground()
-    cockpit.rig.safety_off = False
-    return cockpit.commander.arming.arm(ME)
-
-
 def too_far() -> CommandResult:
     cockpit = offboard()
     return cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + HORIZON + 1)
 
 
-SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
-    # Whoever does not hold the lease.
-    f"arming refused: {WHO} the lease": (lambda: armed().commander.arming.arm(OTHER), REJECTED),
-    f"mode refused: {WHO} the lease": (lambda: armed().commander.set_mode(OTHER, modes.HOLD), REJECTED),
-    f"set-point refused: {WHO} the lease": (lambda: armed().commander.setpoint(OTHER, LEVEL_FLIGHT), REJECTED),
-    f"excitation refused: {WHO} the lease": (lambda: playing().commander.excitation.define(OTHER, 8, PULSE), REJECTED),
-    f"excitation refused: {WHO} the lease ": (lambda: ready().commander.excitation.start(OTHER, 7, 0), REJECTED),
-    f"excitation refused: {WHO} the lease  ": (lambda: ready().commander.excitation.stop(OTHER), REJECTED),
-    f"command refused: {WHO} the lease": (lambda: armed().commander.lease.take(OTHER), REJECTED),
-    f"lease refused: {WHO} it": (lambda: armed().commander.lease.request(OTHER), REJECTED),
-    f"lease not given up: {WHO} it": (lambda: armed().commander.lease.give_up(OTHER), REJECTED),
-    "lease not given up: nobody holds it": (lambda: on_the_ground().commander.lease.give_up(ME), REJECTED),
-    "command refused: the sender's MAVLink system is 0": (
-        lambda: on_the_ground().commander.lease.take((0, 190)),
-        MavResult.DENIED,
-    ),
-    "lease refused: the sender's MAVLink system is 0": (
-        lambda: on_the_ground().commander.lease.request((0, 0)),
-        MavResult.DENIED,
-    ),
-    # Arming.
-    "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arming.arm(ME), REJECTED),
-    "not armed: imu_lost, tilted": (
-        lambda: on_the_ground(BIT["tilted"] | BIT["imu_lost"]).commander.arming.arm(ME),
-        REJECTED,
-    ),
-    "not armed: no sensor has sent a sample yet": (lambda: Cockpit().commander.arming.arm(ME), REJECTED),
-    "not armed: a controller is being built": (unfit, REJECTED),
-    "not armed: killed by system 245, component 190: release it first (twodof kill --release)": (killed, REJECTED),
-    "not armed: safety switch, press it": (switched, REJECTED),
-    # Modes.
-    "unknown mode main 99, sub 0": (lambda: armed().commander.set_mode(ME, 99 << 16), MavResult.UNSUPPORTED),
-    "mode position moves the cart, and the rings lock it": (
-        lambda: armed(rig=Rig(rings=True)).commander.set_mode(ME, modes.POSITION),
-        MavResult.DENIED,
-    ),
-    "mode offboard needs set-points above 2 Hz first": (
-        lambda: armed().commander.set_mode(ME, modes.OFFBOARD),
-        REJECTED,
-    ),
-    # Set-points.
-    "set-point refused: a number is not finite": (
-        lambda: armed().commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=nan)),
-        MavResult.DENIED,
-    ),
-    "set-point refused: it moves the cart, and the rings lock it": (
-        lambda: armed(rig=Rig(rings=True)).commander.setpoint(ME, SetPoint(POSITION, x0=0.1)),
-        MavResult.DENIED,
-    ),
-    "set-point refused: too many wait, or its time is more than a minute ahead": (too_far, MavResult.DENIED),
-    "set-point refused: a stick is beyond its end": (lambda: armed().commander.sticks(ME, 0.0, 1.01), MavResult.DENIED),
-    # Excitations.
-    "excitation refused: another one plays": (lambda: started(playing(), transfer=8), REJECTED),
-    "excitation refused: another one plays ": (lambda: playing().commander.excitation.define(ME, 8, PULSE), REJECTED),
-    "excitation refused: definition 8 is missing, incomplete or already played": (
-        lambda: started(ready(), transfer=8),
-        REJECTED,
-    ),
-    "excitation refused: definition 7 is missing, incomplete or already played": (
-        lambda: started(played(), loop=2),
-        REJECTED,
-    ),
-    "excitation refused: unknown loop 5": (lambda: started(ready(), loop=5), REJECTED),
-    "excitation refused: unknown loop -1": (lambda: started(ready(), loop=-1), REJECTED),
-    "excitation refused: it is in '-', the loop in 'rad/s'": (lambda: started(ready(), loop=1), REJECTED),
-    "excitation refused: the loop moves the cart, and the rings lock it": (
-        lambda: started(ready(MOVING, rig=Rig(rings=True)), loop=4),
-        REJECTED,
-    ),
-    "excitation refused: thrust is not within 0 to 1": (lambda: started(ready(), thrust=1.01), REJECTED),
-    "excitation refused: thrust is not within 0 to 1 ": (lambda: started(ready(), thrust=-0.01), REJECTED),
-    "excitation refused: a closed loop without thrust": (
-        lambda: started(ready(PITCHING), loop=2, thrust=0.0),
-        REJECTED,
-    ),
-    "excitation refused: tick 3 is past or more than a minute ahead, the next is 4": (
-        lambda: started(ready(), ahead=-1),
-        REJECTED,
-    ),
-    f"excitation refused: tick {HORIZON + 5} is past or more than a minute ahead, the next is 4": (
-        lambda: started(ready(), ahead=HORIZON + 1),
-        REJECTED,
-    ),
+def flown(rig: Rig | None = None) -> Commander:
+    """The commander of one that is armed, and belongs to system 250."""
+    return armed(rig).commander
+
+
+def ground(causes: int = 0) -> Commander:
+    return on_the_ground(causes).commander
+
+
+SITUATIONS: dict[int, dict[str, Callable[[], CommandResult]]] = {
+    REJECTED: {
+        f"arming refused: {WHO} the lease": lambda: flown().arming.arm(OTHER),
+        f"mode refused: {WHO} the lease": lambda: flown().set_mode(OTHER, modes.HOLD),
+        f"set-point refused: {WHO} the lease": lambda: flown().setpoint(OTHER, LEVEL_FLIGHT),
+        f"excitation refused: {WHO} the lease": lambda: playing().commander.excitation.define(OTHER, 8, PULSE),
+        f"excitation refused: {WHO} the lease ": lambda: ready().commander.excitation.start(OTHER, 7, 0),
+        f"excitation refused: {WHO} the lease  ": lambda: ready().commander.excitation.stop(OTHER),
+        f"command refused: {WHO} the lease": lambda: flown().lease.take(OTHER),
+        f"lease refused: {WHO} it": lambda: flown().lease.request(OTHER),
+        f"lease not given up: {WHO} it": lambda: flown().lease.give_up(OTHER),
+        "lease not given up: nobody holds it": lambda: ground().lease.give_up(ME),
+        "not armed: tilted": lambda: ground(BIT["tilted"]).arming.arm(ME),
+        "not armed: imu_lost, tilted": lambda: ground(BIT["tilted"] | BIT["imu_lost"]).arming.arm(ME),
+        "not armed: no sensor has sent a sample yet": lambda: Cockpit().commander.arming.arm(ME),
+        "not armed: rings_wrong": lambda: unready("rings").arming.arm(ME),
+        "not armed: a controller is being built": lambda: unready("unfit").arming.arm(ME),
+        "not armed: safety switch, press it": lambda: unready("switch").arming.arm(ME),
+        "not armed: killed by system 245, component 190: release it first (twodof kill --release)": killed,
+        "mode offboard needs set-points above 2 Hz first": lambda: flown().set_mode(ME, modes.OFFBOARD),
+        "excitation refused: another one plays": lambda: started(playing(), transfer=8),
+        "excitation refused: another one plays ": lambda: playing().commander.excitation.define(ME, 8, PULSE),
+        f"excitation refused: definition 8 {NONE}": lambda: started(ready(), transfer=8),
+        f"excitation refused: definition 7 {NONE}": lambda: started(played(), loop=2),
+        "excitation refused: unknown loop 5": lambda: started(ready(), loop=5),
+        "excitation refused: unknown loop -1": lambda: started(ready(), loop=-1),
+        "excitation refused: it is in '-', the loop in 'rad/s'": lambda: started(ready(), loop=1),
+        f"excitation refused: the loop {LOCKED}": lambda: started(ready(MOVING, rig=Rig(rings=True)), loop=4),
+        "excitation refused: thrust is not within 0 to 1": lambda: started(ready(), thrust=1.01),
+        "excitation refused: thrust is not within 0 to 1 ": lambda: started(ready(), thrust=-0.01),
+        "excitation refused: a closed loop without thrust": lambda: started(ready(PITCHING), loop=2, thrust=0.0),
+        f"excitation refused: tick 3 {FAR}": lambda: started(ready(), ahead=-1),
+        f"excitation refused: tick {HORIZON + 5} {FAR}": lambda: started(ready(), ahead=HORIZON + 1),
+    },
+    MavResult.DENIED: {
+        "command refused: the sender's MAVLink system is 0": lambda: ground().lease.take((0, 190)),
+        "lease refused: the sender's MAVLink system is 0": lambda: ground().lease.request((0, 0)),
+        f"mode position {LOCKED}": lambda: flown(Rig(rings=True)).set_mode(ME, modes.POSITION),
+        "set-point refused: a number is not finite": lambda: flown().setpoint(ME, LEVEL_FLIGHT._replace(theta0=nan)),
+        f"set-point refused: it {LOCKED}": lambda: flown(Rig(rings=True)).setpoint(ME, SetPoint(POSITION, x0=0.1)),
+        "set-point refused: too many wait, or its time is more than a minute ahead": too_far,
+        "set-point refused: a stick is beyond its end": lambda: flown().sticks(ME, 0.0, 1.01),
+    },
+    MavResult.UNSUPPORTED: {"unknown mode main 99, sub 0": lambda: flown().set_mode(ME, 99 << 16)},
 }
-"""The words (spaces at the end tell equal ones apart), what is done, and MAV_RESULT."""
+"""By MAV_RESULT the words (spaces at the end tell equal ones apart), and what is done."""
 
 
-@pytest.mark.parametrize("words", SITUATIONS)
-def test_it_is_refused_in_these_words(words: str) -> None:
-    refuse, result = SITUATIONS[words]
-    assert refuse()[:2] == (result, words.rstrip())
+@pytest.mark.parametrize(("result", "words"), [(r, words) for r, table in SITUATIONS.items() for words in table])
+def test_it_is_refused_in_these_words(result: int, words: str) -> None:
+    assert SITUATIONS[result][words]()[:2] == (result, words.rstrip())
 
 
 # What is just still accepted.

@@ -81,25 +81,18 @@ def test_what_is_not_flown_is_refused_in_words() -> None:
 
 @pytest.mark.parametrize("number", [math.nan, math.inf])
 @pytest.mark.parametrize(
-    "fields",
+    ("type_mask", "wrong"),
     [
-        {"type_mask": 7, "q": [1, 0, 0, 0], "thrust": 0.0},
-        {"type_mask": 7 | 32, "q": [1, 0, 0, 0], "thrust_body": [0, 0, 0]},
-        {"type_mask": 7, "q": [1, 0, 0, 0], "thrust": 0.4},
-        {"type_mask": 128, "q": [1, 0, 0, 0], "thrust": 0.4, "body_pitch_rate": 0.0},
+        (7, lambda number: {"thrust": number}),
+        (7 | 32, lambda number: {"thrust_body": [0, 0, number]}),
+        (7, lambda number: {"q": [1, 0, number, 0]}),
+        (128, lambda number: {"body_pitch_rate": number}),
     ],
 )
-def test_an_attitude_target_with_what_is_no_number_is_refused(fields: dict[str, Any], number: float) -> None:
+def test_an_attitude_target_with_what_is_no_number_is_refused(type_mask: int, wrong: Any, number: float) -> None:
     desk = flying()
     before = desk.run()
-    if fields["type_mask"] == 128:
-        fields = fields | {"body_pitch_rate": number}
-    elif fields["type_mask"] & 32:
-        fields = fields | {"thrust_body": [0, 0, number]}
-    elif fields["thrust"]:
-        fields = fields | {"q": [1, 0, number, 0]}
-    else:
-        fields = fields | {"thrust": number}
+    fields = {"type_mask": type_mask, "q": [1, 0, 0, 0], "thrust": 0.4} | wrong(number)
     desk.say(message("SET_ATTITUDE_TARGET", **fields, **TARGET))
     assert desk.run()._replace(link_new=False) == before
     assert desk.commander.refused == {RefusalReason.INVALID: 1}
