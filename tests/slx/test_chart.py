@@ -297,7 +297,7 @@ def test_actions_in_c_count_and_compare(tmp_path: Path) -> None:
         ("{log = f(u);}", "f is a function in C"),
         ("{log = 1/2;}", "the quotient of 1 and 2 is whole in C"),
         ("{++log;}", "++ before a name in C"),
-        ("{log = k + 1;}", "arithmetic in C with other numbers than doubles"),
+        ("{k = 6/k;}", "a quotient of whole numbers in C by another number than a literal"),
         ("[log = 1]", "an assignment in a condition"),
         ("[u == v < 1]", "== beside < in C"),
         ("{k = u;}", "real in uint8 has other rules in C"),
@@ -319,6 +319,22 @@ def test_whole_numbers_in_c_take_literals(tmp_path: Path) -> None:
     )
     found = chart(tmp_path, parts, data("k", "OUTPUT", "uint8"), settings=IN_C, outputs=("k",))
     assert flown(found, [0.0, 0, 1, 0])["y_k"].tolist() == [3, 3, 200, 200]
+
+
+@pytest.mark.parametrize(
+    ("saturates", "counted", "left"), [("1", [100, 200, 255, 255], 0), ("0", [100, 200, 44, 144], 255)]
+)
+def test_whole_numbers_in_c_are_computed_in_32_bits(
+    tmp_path: Path, saturates: str, counted: list[int], left: int
+) -> None:
+    label = "A\nentry: k = 100;\nduring: k += 100; left = -k / 300 - 1; log = (k + 200) * 2 / 3 + u / 2;"
+    settings = f'{IN_C}<P Name="saturateOnIntegerOverflow">{saturates}</P>'
+    held = [data("k", "OUTPUT", "uint8"), data("left", "OUTPUT", "uint8")]
+    found = chart(tmp_path, state(1, label) + way(11, None, 1), *held, settings=settings, outputs=("k", "left", "log"))
+    got = flown(found, [1.0] * 4)
+    assert got["y_k"].tolist() == counted
+    assert got["y_left"].tolist() == [0, *[left] * 3]
+    assert got["y_log"].tolist() == [0, *((k + 200) * 2 // 3 + 0.5 for k in counted[1:])]
 
 
 def test_a_discrete_chart_acts_at_its_own_times(tmp_path: Path) -> None:

@@ -123,6 +123,7 @@ class _Chart:
             if form["values"].get(setting, next(iter(known))) not in known:
                 raise NotTranslated(why)
         self.in_c = form["values"].get("actionLanguage", "") != "2"
+        self.wraps = form["values"].get("saturateOnIntegerOverflow", "0") == "0"
         self.afresh = form["values"].get("initializeOutput", "0") == "1"
         self.names, self.dt = names, dt
         typed = re.compile(r"Inherit|double|boolean")
@@ -261,7 +262,8 @@ class _Chart:
 
     def code(self, inputs: Sequence[str], outputs: Sequence[str]) -> ChartCode:
         """Return the chart as a function of these inputs and outputs."""
-        known: dict[str, Value] = {IN_C: True} if self.in_c else {}
+        actions = {"chart", *(one.name for one in self.functions if one.actions)}
+        known: dict[str, Value] = {IN_C: (actions, self.wraps)} if self.in_c else {}
         declared: dict[str, Kind] = {}
         kept, parameters, afresh = list[str](), list[str](), list[str]()
         for part in self.data:

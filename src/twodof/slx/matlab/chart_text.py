@@ -20,13 +20,15 @@ _C = re.compile(
 )
 _SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false"}
 """Functions that mean the same in C and in MATLAB's language."""
+_PLAIN_NUMBERS = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", *INTEGER_TYPES}
+"""Calls whose literals keep their form."""
 
 
 def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
     """Return an action or a condition of C in MATLAB's language; `functions` are those of the chart.
 
-    Raises NotTranslated where the two languages may differ: whole numbers and singles (unless `exact`) have other rules
-    of arithmetic, quotients of literals are whole, and other functions are C code.
+    Unless `exact`, numbers may be whole: then a literal without a point is one of int32, as in C, and the program that
+    carries it out computes as C does. Raises NotTranslated where the two languages differ otherwise.
     """
     tokens, at = list[str](), 0
     while at < len(text):
@@ -35,10 +37,12 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
             raise NotTranslated(f"{owner}: {text[at : at + 12]!r} in C is not translated")
         tokens.append(found[0])
         at = found.end()
-    solid = [one for one in tokens if one.strip(" .\t\n") or one == "."]
-    for k, (one, after) in enumerate(pairwise([*solid, ""])):
-        before = solid[k - 1] if k else ""
-        literal = one in INTEGER_TYPES and re.fullmatch(r"\d+ \)", " ".join(solid[k + 2 : k + 4]))
+    solid = [k for k, one in enumerate(tokens) if one.strip(" .\t\n") or one == "."]
+    words = [tokens[k] for k in solid]
+    calls = list[str]()
+    for k, (one, after) in enumerate(pairwise([*words, ""])):
+        before = words[k - 1] if k else ""
+        literal = one in INTEGER_TYPES and re.fullmatch(r"\d+ \)", " ".join(words[k + 2 : k + 4]))
         known = functions | _SAME_IN_C | ({one} if literal else set())
         if after == "(" and one.isidentifier() and one not in known and before != ".":
             raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
@@ -46,21 +50,19 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
             raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
         if one in ("if", "for", "while", "return", "ml") or (after == "(" and before == "." and one.isidentifier()):
             raise NotTranslated(f"{owner}: {one} in C is not translated")
-        if one == "/" and before[:1].isdigit() and after[:1].isdigit() and "." not in before + after:
+        if exact and one == "/" and before.isdigit() and after.isdigit():
             raise NotTranslated(f"{owner}: the quotient of {before} and {after} is whole in C")
-        signed = one == "-" and (before in ("", "=", "(", "==", "<", ">", "<=", ">=", "!=", "&&", "||"))
-        if (
-            not exact
-            and one in ("+", "-", "*", "/", "++", "--", "+=", "-=", "*=", "/=")
-            and not (signed and after[:1].isdigit())
-        ):
-            raise NotTranslated(f"{owner}: arithmetic in C with other numbers than doubles is not translated")
         if one in ("[", "/=", "*="):
             raise NotTranslated(f"{owner}: {one!r} in C is not translated")
+        calls += [before] if one == "(" else []
+        calls = calls[:-1] if one == ")" else calls
+        if one.isdigit() and not exact and not {*calls} & _PLAIN_NUMBERS:
+            tokens[solid[k]] = f"int32({one})"
     if re.search(r"[=!]=[^&|()]*[<>]|[<>][^&|()]*[=!]=", text):
         raise NotTranslated(f"{owner}: == beside < in C is not translated")
     made = "".join({"!": "~", "!=": "~="}.get(one, one) for one in tokens)
-    made = re.sub(r"([\w.]+)\s*(\+\+|--)", lambda m: f"{m[1]} = {m[1]} {m[2][0]} 1", made)
+    step = "1" if exact else "int32(1)"
+    made = re.sub(r"([\w.]+)\s*(\+\+|--)", lambda m: f"{m[1]} = {m[1]} {m[2][0]} {step}", made)
     return re.sub(r"([\w.]+)\s*([-+])=\s*([^;,\n]*)", r"\1 = \1 \2 (\3)", made)
 
 

@@ -23,7 +23,8 @@ from twodof.flightlog import fence
 from twodof.slx.matlab.evaluation import Evaluation, range_of, script_text, signed
 from twodof.slx.matlab.library import LIBRARY
 from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, MatlabParser, Tree, expression_of, tokens_of
-from twodof.slx.matlab.signals import truth
+from twodof.slx.matlab.signals import in_c as operation_in_c
+from twodof.slx.matlab.signals import truth, wrapped
 from twodof.slx.matlab.values import (
     FUNCTIONS,
     MOST_ELEMENTS,
@@ -54,7 +55,7 @@ _NAMED = {
 }  # fmt: skip
 """Operators by the names of their functions."""
 IN_C = "#in C"
-"""A known name that says that a chart's actions are in C."""
+"""A known name with the functions that are a chart's actions in C, and whether their whole numbers wrap around."""
 
 
 class NotTranslatedLine(NotComputed):
@@ -131,6 +132,9 @@ class Program:
     def __init__(self, code: Code, function: FunctionDefinition, evaluation: Evaluation, depth: int = 0) -> None:
         self.code, self.function_run, self.evaluation, self.calls = code, function, evaluation, depth
         self.persistent: list[str] = []
+        in_c, wraps = code.known.get(IN_C, ((), False))
+        self.wraps: bool | None = wraps if function.name in in_c else None
+        """Of an action in C, whether whole numbers wrap around."""
         own = {*function.arguments, *function.results} if function is not code.main else set[str]()
         self.kinds = {name: kind for name, kind in code.declared.items() if "." not in name and name not in own}
         self.kinds |= {name: code.declared[one] for name in own if (one := f"{function.name}.{name}") in code.declared}
@@ -174,7 +178,7 @@ class Program:
         for name, kind in self.kinds.items():
             value = self.evaluation.names.get(name, EMPTY)
             if not is_empty(value):
-                self.evaluation.names[name] = _of_kind(value, kind, IN_C in self.code.known)
+                self.evaluation.names[name] = _of_kind(value, kind, self.wraps)
 
     def _empty(self) -> set[str]:
         """Return the persistent variables that have no value yet."""
@@ -373,7 +377,10 @@ class Program:
             case "signs":
                 value = self.value(tree.parts[0])
                 for sign in reversed(tree.text):
-                    value = as_array(value) if sign == "+" else signed(sign, as_array(value))
+                    whole = self.wraps is not None and sign == "-" and class_of(as_array(value)) in INTEGER_TYPES
+                    zero = np.zeros((1, 1), np.int32)
+                    value = self._apply("-", zero, value) if whole else as_array(value)
+                    value = value if whole or sign == "+" else signed(sign, value)
                 return value
             case "range":
                 return range_of(*map(self.value, tree.parts))
@@ -463,6 +470,8 @@ class Program:
 
     def _apply(self, operator: str, left: Value, right: Value) -> Value:
         """Compute an operation of two values; the library solves a system with signals."""
+        if self.wraps is not None:
+            operator, left, right = operation_in_c(operator, left, right, self.wraps)
         matrix = {"\\": left, "/": right}.get(operator)
         if not isinstance(matrix, np.ndarray) or matrix.size == 1 or not (is_signal(left) or is_signal(right)):
             return self.evaluation.apply(operator, left, right)
@@ -581,13 +590,15 @@ def call(
     return names
 
 
-def _of_kind(value: Value, kind: Any, in_c: bool) -> Value:
-    """Return a value as one of this kind; of a bus each field."""
+def _of_kind(value: Value, kind: Any, wraps: bool | None) -> Value:
+    """Return a value as one of this kind; of a bus each field. `wraps` is that of an action in C."""
     if isinstance(value, dict) and isinstance(kind, Bus):
         fields = {one.name: one.kind for one in kind.fields}
-        return {name: _of_kind(one, fields.get(name), in_c) for name, one in value.items()}
+        return {name: _of_kind(one, fields.get(name), wraps) for name, one in value.items()}
     array = as_array(value)
-    if in_c and kind in INTEGER_TYPES and class_of(array) not in (kind, "bool"):
+    if wraps is not None and kind in INTEGER_TYPES and class_of(array) not in (kind, "bool"):
+        if class_of(array) in INTEGER_TYPES:
+            return wrapped(array, kind) if wraps else converted(array, kind)
         if is_signal(array) or not np.array_equal(array.astype(kind), array):
             raise NotComputed(f"{class_of(array)} in {kind} has other rules in C")
     return value if kind is None or class_of(array) == kind else converted(array, kind)

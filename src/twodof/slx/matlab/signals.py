@@ -163,6 +163,39 @@ OPERATORS: dict[str, Callable[..., Array]] = {
 }  # fmt: skip
 
 
+def in_c(operator_: str, left: Value, right: Value, wraps: bool) -> tuple[str, Value, Value]:
+    """Return an operation of C as one of `OPERATORS`, with its operands converted by C's rules.
+
+    Whole numbers are of int32, or of uint32 beside one of these; beside a double they are doubles. Overflow saturates,
+    or `wraps`. Source: Stateflow, Handle Integer Overflow for Chart Data, effect of integer promotion rules.
+    """
+    a, b = as_array(left), as_array(right)
+    kinds = [class_of(one) for one in (a, b)]
+    if operator_ not in ("+", "-", "*", "/") or INTEGER_TYPES.keys().isdisjoint(kinds):
+        return operator_, left, right
+    if "real" in kinds:
+        return operator_, converted(a, "real"), converted(b, "real")
+    word = "uint32" if "uint32" in kinds else "int32"
+    signed = [one for one, kind in zip((a, b), kinds, strict=True) if kind[0] == "i"]
+    if word == "uint32" and any(isinstance(v, Expr) or v.value < 0 for one in signed for v in lifted(one).flat):
+        raise NotComputed(f"{' and '.join(kinds)} in one operation of C is not translated")
+    if operator_ == "/" and any(isinstance(v, Expr) or v == 0 for v in lifted(b).flat):
+        raise NotComputed("a quotient of whole numbers in C by another number than a literal is not translated")
+    named = "whole /" if operator_ == "/" else f"wrapped {operator_}" if wraps else operator_
+    return named, converted(a, word), converted(b, word)
+
+
+def wrapped(array: Array, kind: str) -> Array:
+    """Return whole numbers as those of another class, without the bits that it does not hold."""
+    fit = (lambda one: to_stored(one, kind, "wrap")) if kind in STORED else (lambda one: convert(one, kind))
+    return _each(fit)(array)
+
+
+OPERATORS |= {f"wrapped {name}": _each(of) for name, of in (("+", operator.add), ("-", operator.sub))}
+OPERATORS |= {"wrapped *": _each(operator.mul)}
+OPERATORS |= {"whole /": _each(lambda a, b: cast(functions.trunc(_double(a) / _double(b)), kind_of(a)))}
+
+
 # --- functions
 
 
