@@ -134,6 +134,46 @@ def test_a_call_of_a_subsystem_is_true_in_its_tick(tmp_path: Path) -> None:
     assert any("acts once in a tick, after the chart" in line.why for line in found.report)
 
 
+def event(number: int, name: str) -> str:
+    """A local event's XML."""
+    typed = f'<P Name="name">{name}</P><P Name="scope">LOCAL_EVENT</P><P Name="trigger">FUNCTION_CALL_EVENT</P>'
+    return f'<event SSID="{number}">{typed}</event>'
+
+
+def test_a_state_acts_at_once_on_an_event_sent_to_it(tmp_path: Path) -> None:
+    sender = [
+        state(11, f"Idle\nentry: {said(1)} send(E, Other);"),
+        state(12, f"Sent\nentry: {said(3)}"),
+        way(21, None, 11),
+        way(22, 11, 12, f"[u > 0]{{{said(2)} send(E, Other);}}"),
+        way(23, 12, 11, "[u < 0]"),
+    ]
+    receiver = [
+        state(13, f"Waits\nduring: {said(4)}"),
+        state(14, f"Acts\nentry: {said(5)}"),
+        way(24, None, 13),
+        way(25, 13, 14, "F | E"),
+        way(26, 14, 13, "E[u < 0]"),
+    ]
+    parts = [
+        state(1, "Sender", "".join(sender), "AND_STATE", 1),
+        state(2, "Other", "".join(receiver), "AND_STATE", 2),
+        event(31, "E"),
+        event(32, "F"),
+    ]
+    found = chart(tmp_path, "".join(parts), settings='<P Name="decomposition">SET_CHART</P>')
+    got = flown(found, [0.0, 0, 1, 0, -1, 0])["y_log"].tolist()
+    assert got == [1, 14, 14253, 14253, 1425314, 14253144]
+
+
+@pytest.mark.parametrize("sent", ["send(E);", "send(E, One);", "send(E, Inner);"])
+def test_an_event_to_a_state_that_is_not_beside_the_sender_is_refused(tmp_path: Path, sent: str) -> None:
+    inner = state(3, f"Inner\nentry: {sent}") + way(4, None, 3)
+    parts = state(1, "One", inner, "AND_STATE", 1) + state(2, "Two", "", "AND_STATE", 2) + event(5, "E")
+    (refused, *_) = chart(tmp_path, parts, settings='<P Name="decomposition">SET_CHART</P>').refused
+    assert f"entry of Inner: {sent} is not an event to a parallel state beside it" in refused.why
+
+
 def test_a_change_is_one_since_the_tick_before(tmp_path: Path) -> None:
     """Of the only state, which needs no default transition; a condition goes on behind three dots."""
     inner = [
@@ -365,7 +405,7 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
     [
         (way(1, None, 2) + state(2, "A\non tick: log = 1;"), "", "the action 'on tick' of A"),
         (way(1, None, 2) + state(2, "A\nduring: log = svd(u);"), "", "during of A: svd is not computed"),
-        (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "E[u > 0]"), "", "events are not translated"),
+        (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "E[u > 0]"), "", "the event E is not translated"),
         (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "[in(A)]"), "", "the transition [in(A)]: A has no value"),
         (way(1, None, 2) + state(2, "A") + way(3, 2, 4) + junction(4), "", "it ends at a junction"),
         (state(2, "A") + state(3, "B"), "", "the chart: it has no default transition"),

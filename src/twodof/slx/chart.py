@@ -8,8 +8,8 @@ way does not reach a state. Exit actions go from the inside out, entry actions f
 
 Graphical functions, and functions in MATLAB's language, see and change the chart's data.
 
-Actions in C are read as MATLAB's where both mean the same. The only events are calls of subsystems; anything else is
-refused.
+Actions in C are read as MATLAB's where both mean the same. An event is a call of a subsystem, or a local one that is
+sent to a parallel state, which acts at once, before the sender goes on; anything else is refused.
 """
 
 import re
@@ -27,7 +27,7 @@ from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
-from twodof.slx.matlab.chart_text import AFTER, COMMENT, actions_of, label_of, matlab_of
+from twodof.slx.matlab.chart_text import AFTER, COMMENT, SEND, actions_of, label_of, matlab_of
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
 from twodof.slx.matlab.program import IN_C, evaluate
@@ -58,6 +58,8 @@ class _Way:
     condition: str = ""
     action: str = ""
     at_end: str = ""
+    events: frozenset[str] = frozenset()
+    """The local events of which it waits for one."""
 
 
 @dataclass(eq=False)
@@ -137,6 +139,14 @@ class _Chart:
         self.data: list[Form] = []
         self.calls: list[str] = []
         """The events by which it calls subsystems: outputs that are true in the tick of the call."""
+        self.events: list[str] = []
+        """Its local events."""
+        self.event = ""
+        """The local event that the code written now processes."""
+        self.busy: list[_State] = []
+        """The states from which this event came."""
+        self.asleep: set[_State] = set()
+        """The parallel states that are not active, where those beside them are."""
         self.notes: list[str] = []
         self.root = _State("chart", "the chart", None, form["values"].get("decomposition") == "SET_CHART")
         self._read(form, self.root, 0)
@@ -148,6 +158,8 @@ class _Chart:
             twice = next(one for one in called if called.count(one) > 1)
             raise NotTranslated(f"the name {twice} stands for two things in it")
         for way in self._ways():
+            if unknown := sorted(way.events.difference(self.events)):
+                raise NotTranslated(f"{_shown(way)}: the event {unknown[0]} is not translated")
             if way.target not in self.states and way.target not in self.junctions:
                 raise NotTranslated(f"{_shown(way)}: it leads to no state")
             alike = [one for one in self._from(way.source) if way.source and one.order == way.order]
@@ -176,17 +188,17 @@ class _Chart:
                     parent,
                     int(values.get("executionOrder", "1")),
                 )
-                way.condition, way.action, way.at_end = label_of(values.get("labelString", ""))
+                way.condition, way.action, way.at_end, way.events = label_of(values.get("labelString", ""))
                 parent.ways.append(way)
             elif part["tag"] == "junction":
                 if values.get("type") == "HISTORY_JUNCTION":
                     raise NotTranslated(f"{parent.name}: a history junction is not translated")
                 self.junctions.add(part["id"])
             elif part["tag"] == "event":
-                name = values.get("name", part["name"])
-                if (values.get("scope"), values.get("trigger")) != ("OUTPUT_EVENT", "FUNCTION_CALL_EVENT"):
+                name, scope = values.get("name", part["name"]), values.get("scope")
+                if scope != "LOCAL_EVENT" and (scope, values.get("trigger")) != ("OUTPUT_EVENT", "FUNCTION_CALL_EVENT"):
                     raise NotTranslated(f"the event {name} is not translated")
-                self.calls.append(name)
+                (self.events if scope == "LOCAL_EVENT" else self.calls).append(name)
             elif part["tag"] == "data":
                 (parent.data if parent in self.functions else self.data).append(part)
         if parent in self.functions:
@@ -239,7 +251,7 @@ class _Chart:
 
     def _from_c(self) -> None:
         """Write conditions and actions in C as in MATLAB's language."""
-        functions = {one.name for one in self.functions}
+        functions = {one.name for one in self.functions} | {"send"}
         for way in self._ways():
             if way.condition and re.search(r"(?<![=!<>~])=(?!=)", way.condition):
                 raise NotTranslated(f"{_shown(way)}: an assignment in a condition")
@@ -404,7 +416,26 @@ class _Chart:
 
     def _act(self, state: _State, action: str) -> None:
         if text := state.actions.get(action, ""):
-            self._say(_CHANGED.sub(self._changed, text), f"{action} of {state.name}")
+            self._perform(_CHANGED.sub(self._changed, text), f"{action} of {state.name}", state)
+
+    def _perform(self, text: str, owner: str, sender: _State) -> None:
+        """Write actions of a state, or of a transition drawn in it; an event is processed where they send it."""
+        at = 0
+        for found in SEND.finditer(text):
+            self._say(text[at : found.start()], owner)
+            at = found.end()
+            around = [self.root, *sender.chain()]
+            beside = [one for state in around if state.parallel for one in state.children]
+            target = next((one for one in beside if found[2] and one.name == found[2].rpartition(".")[2]), None)
+            if found[1] not in self.events or target is None or target in (*around, *self.busy):
+                raise NotTranslated(f"{owner}: {found[0]} is not an event to a parallel state beside it")
+            if target in self.asleep:
+                continue
+            before = self.event, self.busy
+            self.event, self.busy = found[1], [*self.busy, *around]
+            self._tick(target)
+            self.event, self.busy = before
+        self._say(text[at:], owner)
 
     def _by_child(self, parent: _State, write: Callable[[_State], None]) -> None:
         """Write a branch for each state of a group, of which one is active."""
@@ -417,7 +448,9 @@ class _Chart:
     def _begin(self, parent: _State) -> None:
         """Enter what is in a state that was just entered."""
         if parent.parallel:
+            self.asleep.update(parent.children)
             for child in parent.children:
+                self.asleep.discard(child)
                 self._enter(child)
         elif parent.children or (parent is self.root and parent.ways):
             defaults = [way for way in parent.ways if not way.source]
@@ -445,6 +478,8 @@ class _Chart:
         if parent.parallel:
             for child in reversed(parent.children):
                 self._leave(child)
+                self.asleep.add(child)
+            self.asleep.difference_update(parent.children)
         elif parent.children:
             self._by_child(parent, self._leave)
             self._say(f"{parent.active} = 0;")
@@ -497,10 +532,12 @@ class _Chart:
                 f"{_shown(path[0])}: junctions lead on more than {MOST_JUNCTIONS} times, or in a circle"
             )
         for way in ways:
+            if way.events and self.event not in way.events:
+                continue
             owner = _shown(way)
             condition = self._timed(way, source)
             self._say(f"if ~{flag}\nif {condition}", owner)
-            self._say(way.action, owner)
+            self._perform(way.action, owner, way.parent)
             onward = [*path, way]
             if way.target in self.states:
                 self._take(onward, self.states[way.target], source, within)
@@ -510,7 +547,8 @@ class _Chart:
             elif self.states and within not in self.functions:
                 raise NotTranslated(f"{owner}: it ends at a junction")
             else:
-                self._say("".join(f"{one.at_end}\n" for one in onward), owner)
+                for one in onward:
+                    self._perform(one.at_end, owner, one.parent)
                 self._say(f"{flag} = true;")
             self._say("end\nend")
 
@@ -533,7 +571,8 @@ class _Chart:
                     self._say(f"{one.parent.active} = 0;")
         elif common is not within:
             raise NotTranslated(f"{owner}: a default transition that leaves its state is not translated")
-        self._say("".join(f"{way.at_end}\n" for way in path), owner)
+        for way in path:
+            self._perform(way.at_end, owner, way.parent)
         if target is common:
             self._begin(target)
             return
@@ -553,6 +592,8 @@ class _Chart:
             if source is None:
                 raise NotTranslated(f"{_shown(way)}: after() without a state")
             self.clocks[source.since] = source
+            if found[2] == "tick" and self.event:
+                raise NotTranslated(f"{_shown(way)}: after() of ticks where an event acts")
             if found[2] == "tick":
                 return f"({source.since} >= ({found[1]}))"
             # As in MathWorks' code: the first tick that is not before the time.

@@ -14,6 +14,8 @@ _KEYWORD = re.compile(
     r"(?:(?<=\s)|(?<=;)|^)((?:(?:entry|en|during|du|exit|ex|bind|on\s+[^:\n]+)\s*,?\s*)+):", re.MULTILINE
 )
 AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
+SEND = re.compile(r"\bsend\s*\(\s*(\w+)\s*(?:,\s*([\w.]+)\s*)?\)\s*;?")
+_EVENTS = re.compile(r"(?:[A-Za-z]\w*(?:\s*\|\s*[A-Za-z]\w*)*)?")
 _C = re.compile(
     r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
     r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|&&|\|\||[-+*/!<>=();,\[\].])"
@@ -82,10 +84,10 @@ def actions_of(text: str, state: str) -> dict[str, str]:
     return found
 
 
-def label_of(label: str) -> tuple[str, str, str]:
-    """Return condition, action when it holds and action when it is taken of a transition's label.
+def label_of(label: str) -> tuple[str, str, str, frozenset[str]]:
+    """Return condition, action when it holds, action when it is taken, and events of a transition's label.
 
-    It is read as `event [condition] {action} / action`, where the only event is `after`.
+    It is read as `event | event [condition] {action} / action`; `after` is a condition.
     """
     text = _CONTINUED.sub(" ", COMMENT.sub("", label)).strip().removesuffix("?")
     event = re.match(r"[^\[{/]*", text)
@@ -100,11 +102,12 @@ def label_of(label: str) -> tuple[str, str, str]:
     if text.startswith("/"):
         at_end, text = text[1:].strip().removeprefix("{").removesuffix("}"), ""
     said = event[0].strip()
-    if text or (said and AFTER.fullmatch(said) is None):
-        raise NotTranslated(f"the transition {label.strip()[:60]!r}: events are not translated")
-    if said:
+    timed = AFTER.fullmatch(said) is not None
+    if text or not (timed or _EVENTS.fullmatch(said)):
+        raise NotTranslated(f"the transition {label.strip()[:60]!r}: it is not read")
+    if timed:
         condition = f"{said} && ({condition})" if condition else said
-    return condition, action, at_end
+    return condition, action, at_end, frozenset(() if timed else re.findall(r"\w+", said))
 
 
 def _bracket(text: str, opening: str, closing: str) -> tuple[str, str]:
