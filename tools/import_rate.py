@@ -151,9 +151,9 @@ def _recorded(file: Path) -> dict[str, Value]:
 def _given(file: Path) -> frozenset[str]:
     """Return the names that a script, or a function which gives names to the base workspace, may assign."""
     text = file.read_text(errors="replace")
-    if text.lstrip().startswith(("function", "classdef")):
-        return frozenset(re.findall(r"\w+", text) if _GIVES.search(text) else ())
-    return frozenset(assigned_names(text))
+    to_base = re.findall(r"\w+", text) if _GIVES.search(text) else []
+    function = text.lstrip().startswith(("function", "classdef"))
+    return frozenset(to_base if function else [*assigned_names(text), *to_base])
 
 
 def models(repository: Path) -> list[tuple[Path, list[Path]]]:

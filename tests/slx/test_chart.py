@@ -377,6 +377,23 @@ def test_whole_numbers_in_c_are_computed_in_32_bits(
     assert got["y_log"].tolist() == [0, *((k + 200) * 2 // 3 + 0.5 for k in counted[1:])]
 
 
+def test_an_output_of_a_chart_names_its_line_in_a_bus(tmp_path: Path) -> None:
+    inner: Blocks = [("Outport", "a", {"Port": "1"}), ("Outport", "b", {"Port": "2"})]
+    blocks: Blocks = [
+        ("SubSystem", "chart", {"SFBlockType": "Chart", "Ports": "[0, 2]"}, (inner, [])),
+        ("BusCreator", "bus", {"Inputs": "2", "Ports": "[2, 1]"}),
+        ("BusSelector", "pick", {"OutputSignals": "b", "Ports": "[1, 1]"}),
+        ("Outport", "y", {"Port": "1"}),
+    ]
+    lines: Lines = [("chart:1", "bus:1"), ("chart:2", "bus:2"), ("bus", "pick"), ("pick", "y")]
+    parts = state(1, "A\nentry: a = 2; b = 3;") + way(2, None, 1) + data("a", "OUTPUT") + data("b", "OUTPUT")
+    body = f'<chart id="9"><P Name="name">chart</P><P Name="actionLanguage">2</P><Children>{parts}</Children></chart>'
+    files = {**model(blocks, lines), "simulink/stateflow/chart_9.xml": body}
+    found = import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT)
+    assert found.diagram is not None, found.refused
+    assert build(found.diagram, dt=found.dt).machine().run(2, {})["y"].tolist() == [3.0, 3.0]
+
+
 def test_a_discrete_chart_acts_at_its_own_times(tmp_path: Path) -> None:
     settings = '<P Name="updateMethod">DISCRETE</P><P Name="sampleTime">0.02</P>'
     found = chart(tmp_path, state(1, f"A\nduring: {said(1)}") + way(11, None, 1), settings=settings)

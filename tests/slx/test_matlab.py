@@ -291,3 +291,46 @@ def test_a_script_designs_gains_and_keeps_the_fields_that_it_knows() -> None:
     assert np.allclose(names["L"], least, rtol=1e-9, atol=0.0)  # no other gain of one step costs less
     assert np.allclose(np.sort(np.linalg.eigvals(a - b @ names["P"])), [-5.0, -3.0], rtol=1e-12, atol=0.0)
     assert {name: float(value[0, 0]) for name, value in names["p"].items()} == {"m": 3.0, "n": 4.0}
+
+
+def test_a_function_of_a_file_gives_the_base_workspace_buses(tmp_path: Path) -> None:
+    (tmp_path / "buses.m").write_text(
+        """function buses()
+make = @(rows) one_of(rows);
+assignin('base', 'Pair', make({'a', 'first'; 'b', 'second'}));
+Simulink.Bus.createObject(struct('v', zeros(3, 1), 'on', true));
+end
+% the elements of one bus
+function bus = one_of(rows)
+  elements = Simulink.BusElement.empty(0, 1);
+  for k = 1:size(rows, 1)
+    e = Simulink.BusElement; e.Name = rows{k, 1}; e.Description = rows{k, 2};
+    elements(k, 1) = e;
+  end
+  bus = Simulink.Bus; bus.Elements = elements;
+end
+""",
+        encoding="utf-8",
+    )
+    names: dict[str, Value] = {}
+    code = 'buses();\nc = {1 2; 3 4}; order = [c{3} c{2} c{2, 2}];\nmode = "AB"; is = [mode == "AB", mode == "B"];'
+    assert run(code, names, [tmp_path]) == []
+    pair, made = names["Pair"]["Elements"], names["slBus1"]["Elements"]
+    assert [(one["Name"], one["Description"]) for one in pair] == [("a", "first"), ("b", "second")]
+    assert [tuple(one.values()) for one in made] == [("v", [3, 1], "double"), ("on", [1, 1], "boolean")]
+    assert names["order"].tolist() == [[2.0, 3.0, 4.0]]
+    assert names["is"].tolist() == [[True, False]]
+
+
+def test_a_bus_behind_one_without_a_name_is_not_named() -> None:
+    names: dict[str, Value] = {}
+    code = "s.a = 1;\nSimulink.Bus.createObject(unknown);\nb = Simulink.Bus.createObject(s);\nbus = slBus1;"
+    assert [one.line for one in run(code, names)] == [2, 3, 4]
+    assert "bus" not in names
+
+
+def test_a_continuous_system_is_sampled() -> None:
+    names: dict[str, Value] = {}
+    assert run("d = c2d(ss([0 1; 0 0], [0; 2], [1 0], 0), .5, 'zoh');", names) == []
+    assert np.allclose(names["d"]["A"], [[1.0, 0.5], [0.0, 1.0]], rtol=0.0, atol=1e-15)
+    assert np.allclose(names["d"]["B"], [[0.25], [1.0]], rtol=0.0, atol=1e-15)

@@ -105,9 +105,18 @@ class Connections:
         return gotos[0]
 
     def _label(self, path: str, pin: Pin) -> str:
-        """Return the name of the signal at an input: of its line, or of the element that a BusSelector takes out."""
-        source = self.sheets[path].sources.get(pin)
-        return "" if source is None else self.sheets[path].labels.get(source, "").strip("<>")
+        """Return the name of the signal at an input: of its line, or of the element that a BusSelector takes out.
+
+        An output of a chart or a MATLAB Function names its line where nothing else does.
+        """
+        sheet = self.sheets[path]
+        source = sheet.sources.get(pin)
+        block = None if source is None else sheet.system.blocks.get(source.sid)
+        label = "" if source is None else sheet.labels.get(source, "").strip("<>")
+        if label or source is None or block is None or block.kind not in CODED or block.system is None:
+            return label
+        outputs = (one for one in block.system.blocks.values() if one.type == "Outport")
+        return next((collapsed(one.name) for one in outputs if port_number(one) == source.number), "")
 
     def _origin(self, path: str, pin: Pin) -> Output | None:
         """Return the output of a block that drives an input, out of and into subsystems; None where nothing does."""

@@ -22,6 +22,7 @@ from twodof.slx.matlab.values import (
     OPERATORS,
     Array,
     NotComputed,
+    String,
     Value,
     as_array,
     bounded,
@@ -102,6 +103,9 @@ class Evaluation:
         self.count(left, right)
         if isinstance(left, dict | list) or isinstance(right, dict | list):
             raise NotComputed(f"'{operator}' of a structure or a cell")
+        if operator in ("==", "~=") and isinstance(left, str) and isinstance(right, str):
+            if isinstance(left, String) or isinstance(right, String):
+                return np.array([[(left == right) == (operator == "==")]])
         a, b = as_array(left), as_array(right)
         if is_signal(a) or is_signal(b):
             self.count_signals(_operations(operator, (a, b)))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from twodof.slx.matlab.values import NotComputed
+from twodof.slx.matlab.values import NotComputed, String
 
 DEEPEST = 30  # each takes fifteen calls of Python, of a thousand
 DEEPEST_BLOCKS = 60
@@ -110,7 +110,7 @@ def tokens_of(text: str) -> list[Token]:
             line += said.count("\n")
             continue
         if kind == "text":
-            said = said[1:-1].replace('""', '"')
+            said = String(said[1:-1].replace('""', '"'))
         found.append(Token(kind, said, line, spaced))
         line += kind == "line"
         spaced = False
@@ -261,7 +261,10 @@ class MatlabParser:
                 parts.append(Tree("(", parts=self._arguments()))
             elif self.here.text == "{" and not apart:
                 self.at += 1
-                parts.append(Tree("{", parts=(self.expression(),)))
+                index = [self.expression()]
+                while self.skip(","):
+                    index.append(self.expression())
+                parts.append(Tree("{", parts=tuple(index)))
                 self.need("}")
             elif self.here.text == "." and self.tokens[self.at + 1].kind == "name":
                 self.at += 1

@@ -29,6 +29,7 @@ from twodof.slx.matlab.values import (
     FUNCTIONS,
     MOST_ELEMENTS,
     Array,
+    Cells,
     NotComputed,
     Value,
     as_array,
@@ -425,10 +426,9 @@ class Program:
             given = self.arguments(step.parts, value)
             return value(self, given) if callable(value) else indexed(value, given)
         if step.kind == "{":
-            index = int(scalar(self.value(step.parts[0])))
-            if not isinstance(value, list) or not 1 <= index <= len(value):
-                raise NotComputed(f"no cell {index}")
-            return value[index - 1]
+            if not isinstance(value, Cells) or len(step.parts) > 2:
+                raise NotComputed("this is no cell array, or one of more than two dimensions")
+            return value.cell(*(int(scalar(self.value(one))) for one in step.parts))
         if isinstance(value, dict) and step.text not in value:
             value = number(value)  # a field of what a parameter holds
         if not isinstance(value, dict) or step.text not in value:
@@ -449,7 +449,7 @@ class Program:
         """Compute a matrix, or a cell array."""
         rows = [[self.value(one) for one in row.parts] for row in tree.parts]
         if tree.text == "{":
-            return [value for row in rows for value in row]
+            return Cells([row for row in rows if row])
         sizes = [one.size for row in rows for one in row if isinstance(one, np.ndarray)]
         if any(map(is_signal, (one for row in rows for one in row))):
             self.evaluation.count_signals(sum(sizes))

@@ -7,7 +7,7 @@ is not computed is skipped and said by its line, and what it would have assigned
 
 import io
 import re
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from twodof.flightlog.fence import Answer
 from twodof.slx.matlab.evaluation import MOST_STEPS, Evaluation, script_text
 from twodof.slx.matlab.parser import OPENING, SILENT, Tree, assigned_by
 from twodof.slx.matlab.program import EMPTY, Code, NotTranslatedLine, Program
-from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value, as_array, bounded
+from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value, as_array, bounded, class_of, scalar
 
 DEEPEST_SCRIPTS = 5
 MOST_DESIGNS, MOST_DESIGNED = 100, 50
@@ -46,6 +46,8 @@ class RunningScript(Program):
         super().__init__(code, code.main, evaluation)
         self.base, self.depth_of_scripts = base, depth
         self.skipped: list[Skipped] = []
+        self.unnamed = False
+        """Whether a bus that MATLAB would number was not made."""
         self.random, self.line = np.random.default_rng(0), 0
 
     def statement(self, tree: Tree) -> None:
@@ -100,6 +102,15 @@ class RunningScript(Program):
             self.base[arguments[1]] = arguments[2]
         elif name == "Simulink.Bus.cellToObject" and arguments:
             self.base.update(_buses(arguments[0]))
+        elif name == "Simulink.Bus.createObject" and arguments and isinstance(arguments[0], dict):
+            if self.unnamed:
+                raise NotComputed("the name of this bus is not known: that of an earlier one was not computed")
+            made = next(one for k in range(1, len(self.base) + 2) if (one := f"slBus{k}") not in self.base)
+            elements = [(field, [*as_array(v).shape], _named(v)) for field, v in arguments[0].items()]
+            self.base.update(_buses([[made, [[*one] for one in elements]]]))
+            return {"busName": made}
+        elif name == "c2d" and arguments and isinstance(arguments[0], dict):
+            return _sampled(*arguments)
         else:
             return super().called(name, arguments, bracket, count)
         return EMPTY
@@ -114,6 +125,22 @@ def _regulator(discrete: bool, a: Array, b: Array, q: Array, r: Array, n: Array 
     weight, ahead = (r + b.T @ cost @ b, a) if discrete else (r, np.eye(len(a)))
     gain = np.linalg.solve(weight, b.T @ cost @ ahead + n.T)
     return [gain, cost, np.linalg.eigvals(a - b @ gain)[:, None]]
+
+
+def _sampled(system: Mapping[str, Value], period: Value, method: str = "zoh") -> Value:
+    """Return a system in state space whose inputs are held for a period."""
+    from scipy.linalg import expm  # imported late, as in the fence
+
+    a, b = as_array(system["A"]), as_array(system["B"])
+    if method != "zoh" or a.size > MOST_DESIGNED**2 or len(a) != len(b):
+        raise NotComputed(f"c2d by {method} of {len(a)} states is not computed")
+    held = expm(np.pad(np.hstack([a, b]), ((0, b.shape[1]), (0, 0))) * scalar(period))
+    return {**system, "A": held[: len(a), : len(a)], "B": held[: len(a), len(a) :], "Ts": as_array(period)}
+
+
+def _named(value: Value) -> str:
+    kind = class_of(as_array(value))
+    return {"real": "double", "bool": "boolean"}.get(kind, kind)
 
 
 def _placed(a: Array, b: Array, poles: Array) -> list[Array]:
@@ -155,10 +182,12 @@ def run(
     own, last = workspace, ""
     if (head := _HEAD.match(code)) is not None:
         before = "\n" * code[: head.end()].count("\n")
-        own, code = {"nargin": np.zeros((1, 1))}, before + _NEXT_FUNCTION.split(code[head.end() :])[0]
-        whole = code.rstrip()
+        own, (body, *others) = {"nargin": np.zeros((1, 1))}, _NEXT_FUNCTION.split(code[head.end() :])
+        code, local = before + body, "".join(f"\nfunction{one}" for one in others)
+        whole = re.sub(r"(?:\s|%[^\n]*)*\Z", "", code)
         if whole.endswith("end") and whole[:-3].rstrip(" \t").endswith("\n"):
-            code, last = whole[:-3], code
+            code, last = whole[:-3] + "\n" * code[len(whole) :].count("\n"), code + local
+        code += local
     evaluation = Evaluation(own)
     try:
         program = Code(code, folders, script=True)
@@ -174,6 +203,7 @@ def run(
             script.statement(one)
         except NotComputed as reason:
             evaluation.ends = []
+            script.unnamed |= any(token.text == "createObject" for token in program.tokens[one.start : one.stop])
             tokens, block = program.tokens[one.start : one.stop], one.kind in OPENING
             names, texts = assigned_by(tokens), [token.text for token in tokens[:3]]
             if not block and names == {texts[0]} and texts[1:2] == ["."]:

@@ -34,6 +34,37 @@ class Members(dict[str, Value]):
     """An enumeration: the numbers of its members by name."""
 
 
+class Cells(list[Value]):
+    """A cell array: its cells row after row, of which each has this many."""
+
+    def __init__(self, rows: Sequence[Sequence[Value]]) -> None:
+        super().__init__(value for row in rows for value in row)
+        self.columns = len(rows[0]) if rows else 0
+        if any(len(row) != self.columns for row in rows):
+            raise NotComputed("the rows of a cell array differ in length")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return rows and columns."""
+        return len(self) // max(self.columns, 1), self.columns
+
+    def cell(self, *index: int) -> Value:
+        """Return the cell at a row and a column, or at one index, which counts down the columns."""
+        rows, columns = self.shape
+        row, column = (
+            index if len(index) == 2 else ((index[0] - 1) % max(rows, 1) + 1, (index[0] - 1) // max(rows, 1) + 1)
+        )
+        if not (1 <= row <= rows and 1 <= column <= columns):
+            raise NotComputed(f"no cell {index[0]}")
+        return self[(row - 1) * columns + column - 1]
+
+
+class String(str):
+    """A text in double quotes: it is compared as a whole, and any other text letter by letter."""
+
+    __slots__ = ()
+
+
 class NotComputed(Exception):
     """Reason why an expression is not computed: it is beyond the subset, or wrong."""
 
@@ -189,6 +220,8 @@ def stored(old: Value, steps: list[Any], value: Value) -> Value:
         made = dict(old) if isinstance(old, dict) else {}
         made[step] = stored(made.get(step), rest, value)
         return made
+    step = step[:1] if len(step) == 2 and isinstance(value, dict) and np.all(step[1] == 1) else step
+    old = None if is_empty(old) and isinstance(value, dict) else old
     if (isinstance(value, dict) or rest) and len(step) == 1 and (old is None or isinstance(old, dict | list)):
         elements = [*old] if isinstance(old, list) else [] if old is None else [old]
         place = int(scalar(step[0])) - 1
@@ -432,7 +465,7 @@ def _found(value: Value, most: Value = None) -> Array:
 
 
 def _size(value: Value, dimension: Value = None) -> Array:
-    shape = np.array([as_array(value).shape], dtype=float)
+    shape = np.array([value.shape if isinstance(value, Cells) else as_array(value).shape], dtype=float)
     return shape if dimension is None else shape[:, [int(scalar(dimension)) - 1]]
 
 
@@ -545,7 +578,8 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     ),
     "repmat": lambda v, *s: _bounded_tile(v, [int(n) for one in s for n in as_array(one).flatten()]),
     "struct": _struct, "Simulink.Parameter": lambda value=None: {"Value": np.zeros((0, 0)) if value is None else value},
-    "Simulink.Bus": lambda: {"Elements": []},
+    "Simulink.Bus": lambda: {"Elements": []}, "Simulink.BusElement.empty": lambda *sizes: np.zeros((0, 0)),
+    "ss": lambda a, b, c, d, period=0.0: {"A": a, "B": b, "C": c, "D": d, "Ts": as_array(bounded(period))},
     "Simulink.BusElement": lambda: {"Name": "", "DataType": "double", "Dimensions": np.ones((1, 1))},
     "Simulink.AliasType": lambda base="double": {"BaseType": base},
     "horzcat": lambda *v: joined([list(v)]), "vertcat": lambda *v: joined([[one] for one in v]),
