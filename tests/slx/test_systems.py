@@ -352,6 +352,24 @@ def test_a_model_block_is_the_model_that_it_refers_to(tmp_path: Path) -> None:
     assert (refused.path, refused.why) == ("model", "the model inner is not found: name its folder with --path")
 
 
+def test_recorded_data_of_a_referenced_model_become_inputs(tmp_path: Path) -> None:
+    inside: Blocks = [("FromWorkspace", "data", {"VariableName": "seen"}), ("Outport", "out", {})]
+    model_of(inside, [("data", "out")], tmp_path / "inner.slx")
+    ports = {"ModelNameDialog": "inner.slx", "Ports": "[0, 1]"}
+    blocks: Blocks = [
+        ("ModelReference", "one", ports),
+        ("ModelReference", "two", ports),
+        ("Sum", "sum", {"Inputs": "+-", "Ports": "[2, 1]"}),
+        ("Outport", "y", {}),
+    ]
+    lines: Lines = [("one", "sum:1"), ("two", "sum:2"), ("sum", "y")]
+    found = import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), "", {}, [tmp_path], DT)
+    assert found.diagram is not None, found.refused
+    first, second = found.diagram.inputs
+    y = flown(found, **{first: DRAWN[0], second: DRAWN[1]})["y"]
+    assert np.array_equal(y, DRAWN[0] - DRAWN[1])
+
+
 def element(number: int, port: str, path: str) -> dict[str, str]:
     values = {"PortNumber": str(number), "PortName": port, "Element": path, "IsComposite": "1"}
     return {"Port": str(number), **{f"Interface{key}": value for key, value in values.items()}}

@@ -4,6 +4,7 @@ Simulink draws one port of a subsystem as many blocks, each with the path of one
 one block: here the blocks become selectors behind an Inport, or signals of a creator of buses in front of an Outport.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from twodof.slx.model import Line, Pin, SimulinkBlock, System, Wire, port_number
@@ -74,27 +75,35 @@ def with_ports(system: System, notes: list[str]) -> System:
 
     `notes` gets a line for each input that is made so.
     """
-    system = with_bus_ports(_with_elements(system))
-    blocks, lines, recorded = dict(system.blocks), list(system.lines), list[SimulinkBlock]()
+    system, recorded = with_bus_ports(_with_elements(system)), list[SimulinkBlock]()
+    blocks = dict(system.blocks)
     for sid, block in system.blocks.items():
         if block.system is not None and not block.commented:
-            blocks[sid] = replace(block, system=_with_recorded(block.system, recorded))
+            blocks[sid] = replace(block, system=with_recorded(block.system, recorded))
     own = [block for block in blocks.values() if block.type in _RECORDED and not block.commented]
-    count = sum(block.type == "Inport" for block in blocks.values())
-    for number, block in enumerate([*own, *recorded], start=count + 1):
-        said, port = block.values.get(_RECORDED[block.type], ""), _port("Inport", block, number)
-        port.name = said if said.isidentifier() else block.name
-        notes.append(f"{block.type} {block.name}: its data are not read; they are the input {port.name}")
-        if block in recorded:
-            port.sid, goto = f"{block.sid} data", f"{block.sid} goto"
-            blocks[goto] = SimulinkBlock("Goto", goto, goto, {"GotoTag": goto, "TagVisibility": "global"})
-            lines.append(_line("", port.sid, Pin(goto, "in", 1)))
-        blocks[port.sid] = port
+    system = with_inputs(System(blocks, system.lines), [*own, *recorded], notes)
+    blocks = system.blocks
     kept = [block for block in blocks.values() if block.type == "ToWorkspace" and not block.commented]
     count = sum(block.type == "Outport" for block in blocks.values())
     for number, block in enumerate(kept, start=count + 1):
         blocks[block.sid] = _port("Outport", block, number)
         blocks[block.sid].name = block.values.get("VariableName", "sim")
+    return system
+
+
+def with_inputs(system: System, recorded: Iterable[SimulinkBlock], notes: list[str]) -> System:
+    """Return a system with an input for each source of recorded data; that of one elsewhere goes there by a tag."""
+    blocks, lines = dict(system.blocks), list(system.lines)
+    count = sum(block.type == "Inport" for block in blocks.values())
+    for number, block in enumerate(recorded, start=count + 1):
+        said, port = block.values.get(_RECORDED[block.type], ""), _port("Inport", block, number)
+        port.name = said if said.isidentifier() else block.name
+        notes.append(f"{block.type} {block.name}: its data are not read; they are the input {port.name}")
+        if block.sid not in blocks:
+            goto = f"{block.sid} goto"
+            blocks[goto] = SimulinkBlock("Goto", goto, goto, {"GotoTag": goto, "TagVisibility": "global"})
+            lines.append(_line("", port.sid, Pin(goto, "in", 1)))
+        blocks[port.sid] = port
     return System(blocks, lines)
 
 
@@ -117,13 +126,13 @@ def _port(kind: str, block: SimulinkBlock, number: int) -> SimulinkBlock:
     return SimulinkBlock(kind, block.name, block.sid, values)
 
 
-def _with_recorded(system: System, recorded: list[SimulinkBlock]) -> System:
-    """Return a system in which recorded data come From the top; their blocks are added to `recorded`."""
+def with_recorded(system: System, recorded: list[SimulinkBlock], at: str = "") -> System:
+    """Return a system at a path in which recorded data come From the top; their blocks are added to `recorded`."""
     blocks = dict(system.blocks)
     for sid, block in system.blocks.items():
         if block.type in _RECORDED and not block.commented:
-            recorded.append(block)
-            blocks[sid] = replace(block, type="From", values={**block.values, "GotoTag": f"{sid} goto"})
+            recorded.append(replace(block, sid=f"{at}:{sid} data"))
+            blocks[sid] = replace(block, type="From", values={**block.values, "GotoTag": f"{at}:{sid} data goto"})
         elif block.system is not None and not block.commented:
-            blocks[sid] = replace(block, system=_with_recorded(block.system, recorded))
+            blocks[sid] = replace(block, system=with_recorded(block.system, recorded, at))
     return System(blocks, system.lines)

@@ -614,7 +614,7 @@ def _state_space(c: Asked) -> Made:
     shape = (cc.shape[0], b.shape[1])
     if d.size == 1 and shape != (1, 1):
         d = np.full(shape, float(d.flat[0]))
-    if b.shape[1] != (c.width or 1) or d.shape != shape:
+    if (b.shape[1] != (c.width or 1) and not c.loose) or d.shape != shape:
         raise NotTranslated(f"B has {b.shape[1]} columns, D {d.shape}, and the input {c.width or 1} elements")
     block: Callable[..., Item] = StateSpace if c.block.type == "StateSpace" else DiscreteStateSpace
     item = block(*(one.tolist() for one in (a, b, cc, d)), initial if len(initial) > 1 else initial[0])

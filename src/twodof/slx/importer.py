@@ -23,7 +23,7 @@ from twodof.blocks.enumeration import Kind
 from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite, ZeroOrderHold
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, carried_out
-from twodof.slx.bus_ports import with_bus_ports, with_ports
+from twodof.slx.bus_ports import with_bus_ports, with_inputs, with_ports, with_recorded
 from twodof.slx.chart import function_rule
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
 from twodof.slx.connections import PASSING, STORES, Output, ReportLine, store_name
@@ -191,7 +191,14 @@ class _Import(Wiring):
     ) -> None:
         if depth > 40:
             raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
+        recorded = list[SimulinkBlock]()
+        system = with_recorded(system, recorded, path) if path != self.path else system
         system = with_bus_ports(System(dict(system.blocks), system.lines))
+        if recorded:  # of a library, or of a referenced model
+            top = self.sheets[self.path]
+            self.sheets[self.path] = Sheet(with_inputs(top.system, recorded, self.notes), top.names, top.owner)
+            added = self.sheets[self.path].system.blocks
+            self.blocks |= {(self.path, sid): block for sid, block in added.items()}
         inside: list[tuple[str, str, System, SimulinkBlock]] = []
         for sid, block in system.blocks.items():
             at = below(path, block)
