@@ -51,7 +51,7 @@ from twodof.blocks.library.logic import COMPARISONS
 from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
 from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, Formula, formula
 from twodof.slx.conditions import CONDITION_RULES
-from twodof.slx.data_types import BUS_RULES, kind_of, signal_of, sized, value_of
+from twodof.slx.data_types import BUS_RULES, bus_array, kind_of, signal_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
 from twodof.slx.matlab.signals import mod, rem
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
@@ -146,6 +146,8 @@ def _product(c: Asked) -> Made:
 
 
 def _mux(c: Asked) -> Made:
+    if any(isinstance(one.kind, Bus) for one in c.inputs):
+        return bus_array(c)
     kind = c.kind(*KINDS)
     widths = [one.width for one in c.inputs]
     total = Signal(kind, sum(width or 1 for width in widths))
@@ -380,7 +382,7 @@ RULES: dict[str, Rule] = {
 
 
 TAKES_BUSES = (
-    *("BusAssignment", "BusCreator", "BusSelector", "Delay", "Memory", "RateTransition"),
+    *("BusAssignment", "BusCreator", "BusSelector", "Concatenate", "Delay", "Memory", "RateTransition"),
     *("SignalConversion", "SignalSpecification", "Switch", "UnitDelay", "ZeroOrderHold", *DROPPED),
 )
 TAKES_SMALL = (

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Diagram
+from twodof.blocks.block import Block, Clock
 from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
 from twodof.blocks.enumeration import Kind
+from twodof.blocks.expressions.arrays import matrix, vector
 from twodof.blocks.library import BusAssign, BusCreate, BusSelect
 from twodof.errors import DiagramError
 from twodof.slx.matlab.program import evaluate
@@ -202,6 +204,36 @@ def _only_bus(c: Asked) -> Bus:
             f"its input is {one}, not a bus: give the bus object's type to the Inport that it comes from"
         )
     return one.kind
+
+
+class BusArray(Block):
+    """y = [u1, u2, ...]: an array of buses."""
+
+    def __init__(self, bus: Bus, count: int) -> None:
+        self.bus, self.names = bus, [f"u{k}" for k in range(1, count + 1)]
+        self.inputs = [Port(name, bus) for name in self.names]
+        self.outputs = [Port("y", bus, count)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Join the buses field by field."""
+        return self._joined(self.bus, [u[name] for name in self.names])
+
+    def _joined(self, bus: Any, given: list[Any]) -> Any:
+        parts = {one.name: (one, [view[one.name] for view in given]) for one in bus.fields}
+        return {
+            name: self._joined(one.kind, many)
+            if isinstance(one.kind, Bus)
+            else (vector if one.width is None else matrix)(many)
+            for name, (one, many) in parts.items()
+        }
+
+
+def bus_array(c: Asked) -> Made:
+    """Return the array of buses of one type."""
+    one, bus = c.inputs[0], _only_bus(c)
+    if not all(one.like(other) for other in c.inputs) or any(leaf.shape is not None for leaf in bus.leaves):
+        raise NotTranslated("its inputs are buses of other types, or hold matrices")
+    return Made(BusArray(bus, len(c.inputs)), [Signal(bus, len(c.inputs))])
 
 
 BUS_RULES: dict[str, Rule] = {"BusAssignment": _assignment, "BusCreator": _creator, "BusSelector": _selector}
