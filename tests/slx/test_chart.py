@@ -377,6 +377,28 @@ def test_whole_numbers_in_c_are_computed_in_32_bits(
     assert got["y_log"].tolist() == [0, *((k + 200) * 2 // 3 + 0.5 for k in counted[1:])]
 
 
+def test_an_index_in_c_begins_at_0(tmp_path: Path) -> None:
+    label = "A\nentry: a[0] = 5;\nduring: a[k]++; a[k + 1] += a[0]; k = 1;"
+    held = [data("a", "OUTPUT", "int16", size="3"), data("k", "LOCAL", "uint8")]
+    found = chart(tmp_path, state(1, label) + way(11, None, 1), *held, settings=IN_C, outputs=("a",))
+    assert flown(found, [0.0] * 3)["y_a"].tolist() == [[5, 0, 0], [6, 6, 0], [6, 7, 6]]
+
+
+def test_a_flow_chart_in_a_state_acts_at_its_entry(tmp_path: Path) -> None:
+    """So MathWorks' code has it: behind the entry action, and not while the state stays active."""
+    flow = [
+        way(21, None, 31),
+        way(22, 31, 32, f"[u > 0]{{{said(2)}}}"),
+        way(23, 31, 32, f"{{{said(3)}}}", 2),
+        way(24, 32, 33, f"{{{said(4)}}}"),
+    ]
+    inside = "".join([*flow, *map(junction, (31, 32, 33))])
+    parts = [state(1, f"A\nentry: {said(1)}", inside), state(2, "B"), way(11, None, 1), way(12, 1, 2, "[v > 0]")]
+    parts += [way(13, 2, 1)]
+    got = flown(chart(tmp_path, "".join(parts)), [0.0, 0, 0, 1, 1], [0.0, 0, 1, 0, 0])["y_log"].tolist()
+    assert got == [134, 134, 134, 134124, 134124]
+
+
 def test_an_output_of_a_chart_names_its_line_in_a_bus(tmp_path: Path) -> None:
     inner: Blocks = [("Outport", "a", {"Port": "1"}), ("Outport", "b", {"Port": "2"})]
     blocks: Blocks = [

@@ -46,6 +46,22 @@ def imported(tmp_path: Path, blocks: list, lines: list, code: str = BUSES) -> Im
     return import_system(read_model(slx(model(blocks, lines), tmp_path / "m.slx")), "", names, [tmp_path], DT)
 
 
+def test_buses_are_joined_to_an_array(tmp_path: Path) -> None:
+    blocks = [
+        ("Inport", "a", {"OutDataTypeStr": "Bus: Rates"}),
+        ("Inport", "b", {"Port": "2", "OutDataTypeStr": "Bus: Rates"}),
+        ("Concatenate", "join", {"NumInputs": "2", "Ports": "[2, 1]"}),
+        ("Outport", "y", {}),
+    ]
+    lines = [("a", "join:1"), ("b", "join:2"), ("join", "y")]
+    given = {f"{name}.p": DRAWN[k] for k, name in enumerate("ab")}
+    given |= {"a.axes": DRAWN.T.copy(), "b.axes": -DRAWN.T, "a.on": DRAWN[0] > 0, "b.on": DRAWN[1] > 0}
+    found = flown(imported(tmp_path, blocks, lines), given)
+    assert np.array_equal(found["y.p"], DRAWN[:2].T)
+    assert np.array_equal(found["y.on"], DRAWN[:2].T > 0)
+    assert np.array_equal(found["y.axes"], np.stack([DRAWN.T, -DRAWN.T], axis=1))
+
+
 def test_buses_are_taken_apart_changed_and_made(tmp_path: Path) -> None:
     blocks = [
         ("Inport", "in", {"OutDataTypeStr": "Bus: Sensors"}),

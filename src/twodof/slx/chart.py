@@ -201,10 +201,6 @@ class _Chart:
                 (self.events if scope == "LOCAL_EVENT" else self.calls).append(name)
             elif part["tag"] == "data":
                 (parent.data if parent in self.functions else self.data).append(part)
-        if parent in self.functions:
-            pass
-        elif parent is not self.root and not parent.children and any(not way.source for way in parent.ways):
-            raise NotTranslated(f"{parent.name}: a flow chart in a state is not translated")
         order = [one.number for one in parent.children]
         parent.children.sort(key=lambda one: one.number)
         if parent.parallel and len(set(order)) < len(order):
@@ -452,7 +448,7 @@ class _Chart:
             for child in parent.children:
                 self.asleep.discard(child)
                 self._enter(child)
-        elif parent.children or (parent is self.root and parent.ways):
+        elif parent.children or any(not way.source for way in parent.ways):  # of a flow chart, too
             defaults = [way for way in parent.ways if not way.source]
             if not defaults and len(parent.children) == 1:
                 self._enter(parent.children[0])
@@ -544,7 +540,7 @@ class _Chart:
                 self._say(f"{flag} = true;")
             elif follow := self._from(way.target):
                 self._flow(follow, flag, source, within, onward, depth + 1)
-            elif self.states and within not in self.functions:
+            elif self.states and within not in self.functions and (within is None or within.children):
                 raise NotTranslated(f"{owner}: it ends at a junction")
             else:
                 for one in onward:

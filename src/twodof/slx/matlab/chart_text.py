@@ -20,6 +20,8 @@ _C = re.compile(
     r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
     r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|&&|\|\||[-+*/!<>=();,\[\].])"
 )
+_PLACE_OF = r"([\w.]+(?:\([^()]*(?:\(\d+\)[^()]*)*\))?){}"
+"""A name, perhaps with an index, and what stands behind it."""
 _SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false"}
 """Functions that mean the same in C and in MATLAB's language."""
 _PLAIN_NUMBERS = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", *INTEGER_TYPES}
@@ -48,13 +50,13 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
         known = functions | _SAME_IN_C | ({one} if literal else set())
         if after == "(" and one.isidentifier() and one not in known and before != ".":
             raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
-        if one in ("++", "--") and not before.isidentifier():
+        if one in ("++", "--") and not before.isidentifier() and before != "]":
             raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
         if one in ("if", "for", "while", "return", "ml") or (after == "(" and before == "." and one.isidentifier()):
             raise NotTranslated(f"{owner}: {one} in C is not translated")
         if exact and one == "/" and before.isdigit() and after.isdigit():
             raise NotTranslated(f"{owner}: the quotient of {before} and {after} is whole in C")
-        if one in ("[", "/=", "*="):
+        if one in ("/=", "*=") or (one == "[" and before == "]"):
             raise NotTranslated(f"{owner}: {one!r} in C is not translated")
         calls += [before] if one == "(" else []
         calls = calls[:-1] if one == ")" else calls
@@ -62,10 +64,11 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
             tokens[solid[k]] = f"int32({one})"
     if re.search(r"[=!]=[^&|()]*[<>]|[<>][^&|()]*[=!]=", text):
         raise NotTranslated(f"{owner}: == beside < in C is not translated")
-    made = "".join({"!": "~", "!=": "~="}.get(one, one) for one in tokens)
     step = "1" if exact else "int32(1)"
-    made = re.sub(r"([\w.]+)\s*(\+\+|--)", lambda m: f"{m[1]} = {m[1]} {m[2][0]} {step}", made)
-    return re.sub(r"([\w.]+)\s*([-+])=\s*([^;,\n]*)", r"\1 = \1 \2 (\3)", made)
+    forms = {"!": "~", "!=": "~=", "[": "(", "]": f" + {step})"}  # an index is from 0 on
+    made = "".join(forms.get(one, one) for one in tokens)
+    made = re.sub(_PLACE_OF.format(r"\s*(\+\+|--)"), lambda m: f"{m[1]} = {m[1]} {m[2][0]} {step}", made)
+    return re.sub(_PLACE_OF.format(r"\s*([-+])=\s*([^;,\n]*)"), r"\1 = \1 \2 (\3)", made)
 
 
 def actions_of(text: str, state: str) -> dict[str, str]:
