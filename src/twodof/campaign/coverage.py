@@ -78,16 +78,18 @@ def drawn_drones(rig: str, experiments: Sequence[str], seeds: Sequence[int]) -> 
     """Return the runs of a campaign in which each flight has a drone of its own, drawn from the priors of its fit.
 
     What an interval with a prior promises, it promises for the drones that the prior allows, and not for each one of
-    them. Which priors an experiment's fit has is seen from a flight of `rig` itself; what has none is as in `rig`.
-    Rotors with a longer lag have a shorter delay, so that tau is that of `rig`. `bend` is not drawn, because the rig's
-    rotors have none. Raises the errors of `IdentifiedByDefault` and `plan`.
+    them. Which priors an experiment's fit has is seen from a flight of `rig` itself; what has none is as in `rig`, and
+    so is what `rig` does not have: friction, a lag of the rotors, and for both rigs `bend`. Rotors with a longer lag
+    have a shorter delay, so that tau is that of `rig`. Raises the errors of `IdentifiedByDefault` and `plan`.
     """
     runs: list[Run] = []
+    nominal = load_rig(rig).snapshot()
     for case in experiments:
         _, _, found = _identified(rig, Run(0, 1, case=case), good=False)
-        known = {name: one for name, one in found.greybox.prior.items() if name in _AT_LEAST}
+        own = {"lag": nominal["lag"], "coulomb": nominal[_FRICTION[found.experiment == "velocity"]]}
+        priors = found.greybox.prior.items()
+        known = {name: one for name, one in priors if name in _AT_LEAST and own.get(name) != 0.0}
         means, widths = ({name: one[side] for name, one in known.items()} for side in (0, 1))
-        nominal = load_rig(rig).snapshot()
         most = {"lag": nominal["delay"] + nominal["lag"]}
         bounds = {name: (_AT_LEAST[name], most.get(name, math.inf)) for name in known}
         unknowns = drawn(means, np.diag([one**2 for one in widths.values()]), len(seeds), bounds=bounds)
@@ -95,6 +97,9 @@ def drawn_drones(rig: str, experiments: Sequence[str], seeds: Sequence[int]) -> 
         runs += plan(seeds, members, [case])
     return tuple(replace(one, number=i) for i, one in enumerate(runs))
 
+
+_FRICTION = ("coulomb_run", "rail_coulomb")
+"""The rig's parameter behind `coulomb` in pitch and along the rail."""
 
 _AT_LEAST = {"w_n": 0.05, "xi": 0.0, "coulomb": 0.0, "lag": 0.0005, "wake": -math.inf, "q_trim": -math.inf}
 """The unknowns with priors that a rig can be given, and the least that each can be."""
@@ -108,8 +113,8 @@ def _rig_with(rig: Mapping[str, float], experiment: str, unknowns: Mapping[str, 
         changed["softening"] = stiffness(rig, running=0.0) - inertia * unknowns["w_n"] ** 2
         changed["viscous_run"] = 2.0 * inertia * unknowns["w_n"] * unknowns["xi"]
     if "coulomb" in unknowns:
-        name, moved = ("rail_coulomb", mass) if experiment == "velocity" else ("coulomb_run", inertia)
-        changed[name] = moved * unknowns["coulomb"]
+        rail = experiment == "velocity"
+        changed[_FRICTION[rail]] = (mass if rail else inertia) * unknowns["coulomb"]
     if "lag" in unknowns:
         changed |= {"lag": unknowns["lag"], "delay": rig["delay"] + rig["lag"] - unknowns["lag"]}
     factors = {"wake": ("trim", inertia), "q_trim": ("gyro_bias", 1.0)}
