@@ -91,11 +91,14 @@ class FlownMachine:
     def estimate(self, structure: Structure) -> tuple[str, ...]:
         """Return the unknowns to estimate in closed loop.
 
-        Of `pitch_on_cart` they include `bend`, on a free cart `M_u`, and `wake` where it leaves a pitched drone.
+        Of `pitch_on_cart` they include `M_u` on a free cart, and what has a prior: `bend`, friction, and `wake`
+        where it leaves a pitched drone.
         """
         fades = load_rig(self.rig)["wake_fade"] > 0.0
         more = ("bend", *(("M_u",) if self.free else ()), *(("wake",) if fades else ()))
-        return (*structure.estimate, *(name for name in more if name in structure.unknowns))
+        named = (*structure.estimate, *(name for name in more if name in structure.unknowns))
+        known = self.prior(structure)
+        return tuple(name for name in named if name in known or name not in ("bend", "coulomb"))
 
 
 def known_cart(rig: Mapping[str, float], structure: Structure, free: bool) -> dict[str, float]:
@@ -115,12 +118,14 @@ def known_rail(rig: Mapping[str, float]) -> tuple[dict[str, float], dict[str, tu
 def priors_of(rig: Mapping[str, float] | None, structure: Structure) -> dict[str, tuple[float, float]]:
     """Return mean and deviation of the poles, of the bearing's friction and of `bend`, where the structure has them.
 
-    The poles' means are those of the `rig` with its rotors running; without one, those that the real logs tell.
+    The poles' means are those of the `rig` with its rotors running; without one, those that the real logs tell. A rig
+    has no `bend`, and where it has no dry friction no prior of it.
     """
-    poles = dict(POLES_PRIOR)
+    poles, rest = dict(POLES_PRIOR), {**FRICTION_PRIOR, **BEND_PRIOR}
     if rig is not None:
+        rest = dict(FRICTION_PRIOR) if rig["coulomb_run"] > 0.0 else {}
         poles = {name: (model_parameters(rig)[f"{name}_run"], poles[name][1]) for name in poles}
-    before = {**poles, **FRICTION_PRIOR, **BEND_PRIOR, **WAKE_PRIOR}
+    before = {**poles, **rest, **WAKE_PRIOR}
     return {name: one for name, one in before.items() if name in structure.unknowns}
 
 
