@@ -249,7 +249,7 @@ EXPECTED: Mapping[str, Expected] = {
     "step: late once": SAFE,
     "step: every 2nd tick missed": Expected(why=NO_STEP, rarely=True),
     "step: every 10th tick missed": SAFE,
-    "step: 4 of 5 ticks missed": Expected(why=NO_STEP, rarely=True),
+    "step: 4 of 5 ticks missed": Expected(why=NO_STEP),
     "step: 24 of 25 ticks missed": Expected(why=NO_STEP, rarely=True),
     "step: no step any more": Expected(why=NO_STEP),
     "step: commands late by one tick": SAFE,

@@ -87,7 +87,7 @@ _LAB: Mapping[str, str] = MappingProxyType(
         ),
         **dict.fromkeys(("vibration_hz", "vibration_r2"), _SPECTRUM + ": even from 40 to 100 Hz"),
         **dict.fromkeys(("acc_x_line", "acc_z_line", "gyro_line"), _SPECTRUM + ", 15 to 60 Hz, cart free"),
-        "imu_ahead": "the drone's is 0.013, see section 9",
+        "imu_ahead": "logs, level holds: acc_z against the turning, 4 to 8 Hz",
         "ring_shake": _SPECTRUM + ", cart locked against free: 1.0 to .5 (x), 1.6 to .7 m/s2 (z)",
         **dict.fromkeys(
             ("resistance", "polarised_share", "polarised_time"),
