@@ -56,14 +56,6 @@ class Counter(Block):
         return x.n + 1
 
 
-class Adder(Block):
-    inputs = (Port("a"), Port("b"))
-    outputs = (Port("y"),)
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return u.a + u.b
-
-
 class Hold(Block):
     """Reads a signal of another rate."""
 

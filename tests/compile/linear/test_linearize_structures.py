@@ -23,7 +23,6 @@ Array = np.ndarray[Any, Any]
 
 W, XI, MU, K, P = 3.437, 0.0836, 358.5, 4.748, 1.168
 LAG = 0.011
-LIFT = 0.3  # quadratic share of the thrust curve
 X_U, X_Q, M_U, M_Q, X_D, M_D = -0.1068, 0.1192, -5.9755, -2.6478, -10.1647, 450.71
 TILT = 0.3  # rad: where the structures with sines are linearized
 
