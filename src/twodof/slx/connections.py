@@ -3,11 +3,14 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from twodof.blocks.diagram import BASE, Rate
 from twodof.errors import DiagramError
 from twodof.slx.blocks import INPUTS, RULES
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Activation
-from twodof.slx.matlab.values import NotComputed
+from twodof.slx.matlab.program import evaluate
+from twodof.slx.matlab.values import NotComputed, Value, number
 from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, port_number
 from twodof.slx.sheet import Sheet
 from twodof.slx.translation import Made, NotTranslated, Signal
@@ -187,3 +190,29 @@ class Connections:
     def _line(self, path: str, sid: str, status: str, why: str) -> None:
         block = self.blocks[path, sid]
         self.report.append(ReportLine(below(path, block), block.kind, status, why))
+
+
+def active_choice(block: SimulinkBlock, names: dict[str, Value]) -> SimulinkBlock:
+    """Return the active choice of a variant: by its label, or the one whose condition is true."""
+    inside = block.system.blocks.values() if block.system is not None else ()
+    choices = [one for one in inside if one.type not in ("Inport", "Outport") and not one.commented]
+    label = block.values.get("LabelModeActiveChoice", block.values.get("LabelModeActivechoice", ""))
+    active = []
+    for one in choices:
+        condition = one.values.get("VariantControl", "")
+        if label:
+            held = condition == label
+        elif condition in ("(default)", ""):
+            continue
+        else:
+            try:
+                held = bool(np.all(number(evaluate(condition, names))))
+            except DiagramError as reason:
+                raise NotTranslated(f"condition of the choice {collapsed(one.name)}: {reason.what}") from None
+        active += [one] * held
+    active = active or [one for one in choices if one.values.get("VariantControl") == "(default)"]
+    if len(active) != 1 or active[0].type not in ("SubSystem", "Reference", "ModelReference"):
+        raise NotTranslated(
+            f"{len(active)} choices of the variant are active: give their conditions' names by --workspace"
+        )
+    return active[0]

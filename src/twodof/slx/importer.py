@@ -14,8 +14,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus, leaves_of
 from twodof.blocks.diagram import BASE, Rate
@@ -26,7 +24,7 @@ from twodof.slx.blocks import DROPPED, RULES, carried_out
 from twodof.slx.bus_ports import with_bus_ports, with_inputs, with_ports, with_recorded
 from twodof.slx.chart import function_rule
 from twodof.slx.conditions import CONTROL_PORTS, conditions_of
-from twodof.slx.connections import PASSING, STORES, Output, ReportLine, store_name
+from twodof.slx.connections import PASSING, STORES, Output, ReportLine, active_choice, store_name
 from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
@@ -257,7 +255,7 @@ class _Import(Wiring):
         if block.kind in ("State Transition Table", "Truth Table"):
             raise NotTranslated(f"a {block.kind} is not translated")
         if block.values.get("Variant", "off") == "on":
-            choice = self._choice(block, names)
+            choice = active_choice(block, names)
             inside = f"{below(at, choice)}/"  # its code stands in place of the variant's
             own = [path for path in self.code if path.startswith(inside)]
             self.code |= {f"{at}/{path.removeprefix(inside)}": self.code[path] for path in own}
@@ -307,32 +305,6 @@ class _Import(Wiring):
             path = collapsed(one.path)
             if f"{path}/".startswith(f"{inside}/".lstrip("/")):
                 self.code[f"{at}/{path[len(inside) :].lstrip('/')}".strip("/")] = one
-
-    @staticmethod
-    def _choice(block: SimulinkBlock, names: dict[str, Value]) -> SimulinkBlock:
-        """Return the active choice of a variant: by its label, or the one whose condition is true."""
-        inside = block.system.blocks.values() if block.system is not None else ()
-        choices = [one for one in inside if one.type not in ("Inport", "Outport") and not one.commented]
-        label = block.values.get("LabelModeActiveChoice", block.values.get("LabelModeActivechoice", ""))
-        active = []
-        for one in choices:
-            condition = one.values.get("VariantControl", "")
-            if label:
-                held = condition == label
-            elif condition in ("(default)", ""):
-                continue
-            else:
-                try:
-                    held = bool(np.all(number(evaluate(condition, names))))
-                except DiagramError as reason:
-                    raise NotTranslated(f"condition of the choice {collapsed(one.name)}: {reason.what}") from None
-            active += [one] * held
-        active = active or [one for one in choices if one.values.get("VariantControl") == "(default)"]
-        if len(active) != 1 or active[0].type not in ("SubSystem", "Reference", "ModelReference"):
-            raise NotTranslated(
-                f"{len(active)} choices of the variant are active: give their conditions' names by --workspace"
-            )
-        return active[0]
 
     def _period(self) -> float:
         """Return the base period [s], and note the blocks' own times. Raises DiagramError where there is none."""
