@@ -184,10 +184,11 @@ def run(
         before = "\n" * code[: head.end()].count("\n")
         own, (body, *others) = {"nargin": np.zeros((1, 1))}, _NEXT_FUNCTION.split(code[head.end() :])
         code, local = before + body, "".join(f"\nfunction{one}" for one in others)
-        whole = re.sub(r"(?:\s|%[^\n]*)*\Z", "", code)
-        if whole.endswith("end") and whole[:-3].rstrip(" \t").endswith("\n"):
-            code, last = whole[:-3] + "\n" * code[len(whole) :].count("\n"), code + local
-        code += local
+        lines = code.split("\n")
+        said = [number for number, line in enumerate(lines) if line.partition("%")[0].strip()]
+        if len(said) > 1 and lines[said[-1]].partition("%")[0].strip() == "end":
+            last, lines[said[-1]] = code + local, ""
+        code = "\n".join(lines) + local
     evaluation = Evaluation(own)
     try:
         program = Code(code, folders, script=True)
