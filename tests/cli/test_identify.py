@@ -208,7 +208,7 @@ def test_in_closed_loop_other_unknowns_are_held(prbs: str, shell: Shell) -> None
     asked = ["identify", prbs, "--estimate", "mu", "--estimate", "dead_time"]
     found = answer(asked, shell)
     held = {name: found["fixed"][name] for name in ("w_n", "xi", "lag")}
-    assert held == {"w_n": 2.28, "xi": 0.05, "lag": 0.012}
+    assert held == {"w_n": 2.28, "xi": 0.065, "lag": 0.012}
     # The rig's rotors lag by .3 ms more, and a lag held .3 ms too short makes mu .7 % low.
     rig, log = load_rig("lab").snapshot(), read_log(prbs)
     found = answer([*asked, "--value", f"lag={rig['lag']}"], shell)

@@ -17,10 +17,14 @@ from twodof.fcu.mavlink.file_tree import metadata_files
 from twodof.fcu.onboard_log.log_topics import STEP_TOPIC
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.flightlog.ulog_file import scan_ulog
+from twodof.rig.parameters import lab
+from twodof.sim.closed_loop import mounting
 
 pytestmark = pytest.mark.slow
 
 CLIENT = Path(__file__).with_name("mavsdk_files_client.py")
+ROWS = ParameterStore(defaults=mounting(lab().snapshot())).rows
+"""The parameters of the virtual drone, whose defaults say where its IMU is."""
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +43,14 @@ def saw(fcu_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
 
 
 def test_it_lists_the_tree(saw: dict[str, list[Any]]) -> None:
-    files = metadata_files(ParameterStore().rows)
+    files = metadata_files(ROWS)
     root, extras = saw["list"]
     assert root["entries"] == [["DIRECTORY", name, 0] for name in ("controllers", "etc")]
     assert extras["entries"] == [["FILE", name, len(content)] for name, content in sorted(files.items())]
 
 
 def test_it_fetches_in_bursts_and_without_and_finds_the_same_checksum(saw: dict[str, list[Any]]) -> None:
-    text = metadata_files(ParameterStore().rows)["parameters.json"].decode()
+    text = metadata_files(ROWS)["parameters.json"].decode()
     assert saw["fetched"] == [{"burst": burst, "text": text} for burst in (False, True)]
     assert saw["identical"] == [{"same": True}]
 
@@ -59,7 +63,7 @@ def test_it_sends_a_diagram_and_removes_it(saw: dict[str, list[Any]]) -> None:
 @pytest.mark.long
 def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any]]) -> None:
     found = {update["type"]: update["text"].encode() for update in saw["metadata"]}
-    files = metadata_files(ParameterStore().rows)
+    files = metadata_files(ROWS)
     assert found == {"PARAMETER": files["parameters.json"]}
 
 
