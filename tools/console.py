@@ -127,7 +127,7 @@ another computer's linear algebra ends elsewhere in its last digits: figures mov
 def agree(shown: str, printed: str) -> bool:
     """Return True if the numbers of two lines are the same, to `SAME` or to a unit of the last digit shown."""
     pairs = [*itertools.zip_longest(NUMBER.findall(shown), NUMBER.findall(printed), fillvalue="nan")]
-    return all(abs(float(a) - float(b)) <= max(SAME * abs(float(b)), _last_digit(a)) for a, b in pairs)
+    return all(abs(float(a) - float(b)) <= max(SAME * abs(float(b)), 1.001 * _last_digit(a)) for a, b in pairs)
 
 
 def _last_digit(number: str) -> float:

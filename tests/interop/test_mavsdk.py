@@ -19,6 +19,8 @@ from pyulog import ULog
 from bench.stack.programs import port
 from tests.patience import PATIENCE_S
 from twodof.fcu.parameters.parameter_store import ParameterStore
+from twodof.rig.parameters import lab
+from twodof.sim.closed_loop import mounting
 
 pytestmark = pytest.mark.slow
 
@@ -79,7 +81,7 @@ def check(saw: dict[str, list[dict[str, Any]]], log: Path) -> None:
     (version,) = saw["version"]
     assert version["software"] >= [1, 16, 0]  # what clients take as PX4's
 
-    ours = {row.name: row for row in ParameterStore().rows}
+    ours = {row.name: row for row in ParameterStore(defaults=mounting(lab().snapshot())).rows}
     (parameters,) = saw["parameters"]
     assert set(parameters["values"]) == set(ours)  # nothing missing, nothing else
     assert parameters["integers"] == sum(row.kind == "int32" for row in ours.values())
