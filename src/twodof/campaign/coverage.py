@@ -1,5 +1,6 @@
 """Coverage of the default fit: flights of known truth, each identified as `twodof identify` does, and what holds it."""
 
+import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -123,16 +124,21 @@ def _rig_with(rig: Mapping[str, float], experiment: str, unknowns: Mapping[str, 
 
 def _identified(rig: str, run: Run, good: bool = True) -> tuple[Laboratory, FlightLog, IdentifiedFlight]:
     """Fly a run, see that its data are `good`, and identify it as the command does, which knows the rig by its name."""
-    machine = {name: value for name, value in run.parameters.items() if name not in CONDITIONS}
-    flown = ParameterSet({**load_rig(rig).snapshot(), **machine}, TABLE)
-    laboratory = Laboratory(flown, conditions={k: v for k, v in run.parameters.items() if k in CONDITIONS})
-    laboratory.rig_name = rig
+    laboratory = _laboratory(rig, tuple(run.parameters.items()))
     flights = [laboratory.fly(FLOWN[run.case], run.seed)]
     if run.case == WITH_IMPULSE:
         flights.append(laboratory.fly("impulse", run.seed + _IMPULSE_SEEDS))
     log, *impulse = [_good(one).log if good else one.log for one in flights]
     kind = None if run.case in EXPERIMENTS else "doublet"
     return laboratory, log, identify_flight(log, kind, impulse=impulse[0] if impulse else None)
+
+
+@functools.lru_cache(maxsize=2)
+def _laboratory(rig: str, changed: tuple[tuple[str, float], ...]) -> Laboratory:
+    machine, conditions = ({k: v for k, v in changed if (k in CONDITIONS) is of} for of in (False, True))
+    made = Laboratory(ParameterSet({**load_rig(rig).snapshot(), **machine}, TABLE), conditions=conditions)
+    made.rig_name = rig
+    return made
 
 
 def _good(flight: Flight) -> Flight:
