@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, Route, expect
 
 from tests.lab.served import COMMAND, Served, served
 from tests.patience import patiently
@@ -247,17 +247,24 @@ def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page
     by_dialog = page.get_by_role("dialog").get_by_role("button", name="notch-attitude")
     for way, answer, parts in (
         ("o", "Stay here", 0),
+        ("new", "Stay here", 0),
         ("#", "Stay here", 0),
         ("#", "Open notch-attitude and lose them", 1),
     ):
         if way == "o":
             sheet(page).press("Control+o")
             by_dialog.click()
+        elif way == "new":
+            page.get_by_role("button", name="New", exact=True).press("Enter")
+            expect(page.get_by_role("dialog", name="Open empty-attitude?")).to_be_visible()
         else:
             page.evaluate("location.hash = '#/diagram?starter=notch-attitude'")
         page.get_by_role("button", name=answer).press("Enter")
         expect(page).to_have_url(re.compile("[?]starter=notch-attitude$" if parts else "#/diagram/moved$"))
         expect(block(page, "notch")).to_have_count(parts)
+    page.get_by_role("button", name="New", exact=True).press("Enter")
+    expect(page).to_have_url(re.compile("[?]starter=empty-attitude$"))
+    expect(block(page, "notch")).to_have_count(0)
 
 
 @pytest.mark.long
@@ -267,6 +274,16 @@ def test_panels_fold_and_the_stock_controller_flies_beside(server: Served, open_
     plots = page.locator("#plots")
     expect(plots.get_by_text("stock", exact=True)).to_have_count(2)
     page.get_by_role("tab", name="Margins").click()
+    expect(page.get_by_text("On the lab rig, at 250 Hz")).to_be_visible()
+    asked: list[Route] = []
+    page.route("**/api/jobs/*", lambda route: asked.append(route))
+    page.get_by_role("combobox", name="Rig").select_option("paper")
+    expect(page.get_by_role("progressbar", name=re.compile("^Margins: "))).to_be_visible()
+    expect(page.get_by_text(re.compile(r"The last one took [\d.]+ s"))).to_be_visible()
+    for one in asked:
+        one.continue_()
+    page.unroute("**/api/jobs/*")
+    expect(page.get_by_text("On the paper rig, at 250 Hz")).to_be_visible()
     page.get_by_role("button", name="Show the Bode plots below").click()
     expect(plots.get_by_text("rate, stock", exact=True)).to_have_count(2)
     expect(page.get_by_role("columnheader", name="stock").first).to_be_visible()

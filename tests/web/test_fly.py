@@ -91,6 +91,27 @@ def test_the_stop_works_on_every_page(lab_server: LabServer, open_page: OpenPage
     lab_server.until(killed=True, armed=False)
 
 
+@pytest.mark.parametrize("name", ["fly", "tune"])
+def test_a_stop_by_key_keeps_the_focus(lab_server: LabServer, open_page: OpenPage, name: str) -> None:
+    page = open_page(f"{lab_server.link}#/{name}")
+    armed(page)
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("button", name="Hold level")).to_be_focused()  # the stop switches it off
+    page.keyboard.press("F8")
+    expect(page.get_by_role("button", name="Release the stop")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Arm", exact=True)).to_be_focused()
+    lab_server.until(killed=False)
+    page.keyboard.press("Shift+Tab")
+    here = page.locator(":focus")
+    expect(here).to_be_enabled()
+    before = here.element_handle()
+    page.keyboard.press("F8")  # what stays enabled keeps the focus
+    lab_server.until(killed=True)
+    expect(page.get_by_role("button", name="Release the stop")).to_be_visible()
+    assert page.locator(":focus").evaluate("(now, before) => now === before", before)
+
+
 @pytest.mark.long
 def test_an_excitation_is_built_and_previewed(lab_server: LabServer, open_page: OpenPage) -> None:
     lab_server.warm()

@@ -102,9 +102,6 @@ def identify(
         list[str] | None, option("How that input behaves between samples; repeatable.", f"NAME={'|'.join(HOLDS)}")
     ] = None,
     detrend: Annotated[bool, flag("Take the mean of each column away.", "--detrend")] = False,
-    detrend_line: Annotated[
-        bool, flag("Take the straight line through each column away, as a sensor drifts.", "--detrend-line")
-    ] = False,
     resample: Annotated[float | None, option("Longer time from step to step, behind a filter.", "SECONDS")] = None,
     merge: Annotated[bool, flag("Several logs: one model for all, not one for each.", "--merge")] = False,
     compare: Annotated[
@@ -161,9 +158,7 @@ def identify(
     numbers = {name: one for name, (one,) in _numbers(value or [], "NAME=NUMBER").items()}
     before = {name: (mean, width) for name, (mean, width) in _numbers(prior or [], "NAME=MEAN,SIGMA").items()}
     clock = {name: column for name, column in (("time", time), ("period", period)) if column is not None}
-    prepared = _given(
-        detrend=detrend, detrend_line=detrend_line, resample=resample is not None, merge=merge, compare=compare
-    )
+    prepared = _given(detrend=detrend, resample=resample is not None, merge=merge, compare=compare)
     if structure is not None or input or output or clock or hold or prepared or is_named(model):
         both = structure is not None and model != AUTO
         idle = _given(experiment=experiment is not None, method=simple, impulse=impulse is not None, model=both)
@@ -181,7 +176,7 @@ def identify(
 
         def read(path: Path) -> Record:
             record = own_record(path, columns, input or (), output or (), clock, window, hold or ())
-            record = record.detrend(linear=detrend_line) if detrend or detrend_line else record
+            record = record.detrend() if detrend else record
             return record if resample is None else record.resample(resample)
 
         records, others = _distinctly_named([read(path) for path in files], files), [*map(read, validate or ())]
@@ -277,7 +272,7 @@ def _refuse(*mistakes: tuple[object, str, str, str]) -> None:
 
 def _given(**options: object) -> str:
     """Return the names of the options that were given."""
-    return " ".join(f"--{name.replace('_', '-')}" for name, there in options.items() if there)
+    return " ".join(f"--{name}" for name, there in options.items() if there)
 
 
 def _say(

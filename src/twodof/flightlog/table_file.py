@@ -51,10 +51,8 @@ _NUMBER = re.compile(r"[-+]?[\d.,]*\d[-+\d.,:/TZeE ]*|nan|inf", re.IGNORECASE)
 _NO_NUMBER = re.compile(
     r"In CSV column #(?P<column>\d+): Row #(?P<row>\d+): .*conversion error to double: invalid value '(?P<cell>.*)'"
 )
-_MISSING = ("", "NA", "N/A", "#N/A", "null", "NULL", "None", "-")
+_MISSING = ("NA", "N/A", "#N/A", "null", "NULL", "None", "-")
 """Cells without a number, as other programs write them."""
-_NAN = ("nan", "NaN", "NAN")
-"""The same in a wide table of another program, as MATLAB's `writetable`: in ours and in long ones they are damage."""
 _PER_SECOND = {
     **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "milliseconds"), 1e3),
@@ -124,7 +122,7 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
     if meta is not None or _is_long(names):
         # As dictionaries: a name that is repeated is there once.
         texts = dict.fromkeys(COLUMNS[:2], pa.dictionary(pa.int32(), pa.string())) if _is_long(names) else {}
-        table = _parsed(data, start, names, separator, texts, where, _MISSING)
+        table = _parsed(data, start, names, separator, texts, where)
     else:
         stamps = [name for name in names if not period and _is_time(name, time)]
         table, words = _without_words(data, start, names, separator, stamps, where)
@@ -132,13 +130,7 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
 
 
 def _parsed(
-    data: bytes,
-    start: int,
-    names: list[str],
-    separator: str,
-    types: Mapping[str, pa.DataType | None],
-    where: str,
-    missing: Sequence[str],
+    data: bytes, start: int, names: list[str], separator: str, types: Mapping[str, pa.DataType | None], where: str
 ) -> pa.Table:
     """Return the rows from byte `start` on: float64, except `types`, where None lets pyarrow find the type."""
     try:
@@ -148,7 +140,7 @@ def _parsed(
             pa_csv.ParseOptions(delimiter=separator),
             pa_csv.ConvertOptions(
                 column_types={n: kind for n in names if (kind := types.get(n, pa.float64())) is not None},
-                null_values=list(missing),
+                null_values=["", *_MISSING],
                 strings_can_be_null=False,
                 decimal_point="," if separator != "," and data.find(b",", start) >= 0 else ".",
             ),
@@ -170,8 +162,7 @@ def _without_words(
     words: dict[str, str] = {}
     while True:
         try:
-            rows = _parsed(data, start, names, separator, types, where, (*_MISSING, *_NAN))
-            table = rows.drop_columns(list(words))
+            table = _parsed(data, start, names, separator, types, where).drop_columns(list(words))
             return table, [f"{name} ({first})" for name, first in words.items()]
         except LogError as error:
             found = _NO_NUMBER.search(error.what)

@@ -177,9 +177,8 @@ def margins(progress: Progress, text: str, rig: str) -> dict[str, Any]:
     for k, name in enumerate(loops):
         progress(k / len(loops), f"the {name} loop")
         loop = cascade_margins(DEFAULT, [diagram], rig, [name])[name]
-        drawn = bode(loop)
         motion = "" if loop.motion is None else loop.motion.text
-        curves = {"omega": drawn.omega.tolist(), "gain": drawn.gain.tolist(), "phase": drawn.phase.tolist()}
+        curves = {key: values.tolist() for key, values in bode(loop)._asdict().items()}
         found[name] = loop.to_json() | {"about": LOOPS[name], "motion_text": motion, "bode": curves}
     return {"template": template, "rig": rig, "loops": found}
 

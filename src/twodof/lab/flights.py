@@ -234,12 +234,9 @@ def design(
     make_folder(path.parent)
     check_free(path, overwrite)
     progress(0.02, "the gains")
+    family = PitchFamily.from_identified(model)
     made = design_controller(
-        PitchFamily.from_identified(model),
-        crossover,
-        phase_margin,
-        method=method,
-        progress=lambda text, share: progress(share, text),
+        family, crossover, phase_margin, method=method, progress=lambda text, share: progress(share, text)
     )
     made.diagram.name = name_of_file(path.stem)  # as where it is saved by hand: one name on the page and on board
     if made.robustness.robust:

@@ -158,9 +158,8 @@ def replay(path: str) -> dict[str, Any]:
     start, end = log.span
     rate = min(REPLAY_HZ, MOST_REPLAYED / max(end - start, 1e-9))
     times = start + np.arange(max(1, int((end - start) * rate) + 1)) / rate
-    columns = {
-        name: log[name].held(times).astype("<f4") for name in _REPLAYED if name in log and log[name].value.ndim == 1
-    }
+    names = [name for name in _REPLAYED if name in log and log[name].value.ndim == 1]
+    columns = {name: log[name].held(times).astype("<f4") for name in names}
     return {
         "start": start,
         "rate": rate,
@@ -183,13 +182,12 @@ def recovered(path: str, target: str) -> dict[str, Any]:
 
 
 def _told(found: FlightView, points: int) -> dict[str, Any]:
+    views = [{"label": one.label, "curves": [_curve(curve, points) for curve in one.curves]} for one in found.views]
     return {
         "title": found.title,
         "about": found.about,
         "window": list(found.span),
-        "views": [
-            {"label": one.label, "curves": [_curve(curve, points) for curve in one.curves]} for one in found.views
-        ],
+        "views": views,
         **{key: [vars(band) for band in getattr(found, key)] for key in ("modes", "failsafe", "excitations")},
         "notes": list(found.notes),
     }

@@ -249,8 +249,9 @@ class Workbench:
 class Job:
     """Progress of a job: `fraction` 0 to 1, `text`, and at its end its `result` or `error`.
 
-    `bound` is True while the job cannot be cancelled. `client` is the client that started it, if it may only watch.
-    `stop` is the event that ends a flight, `about` a key of what a rehearsal was asked.
+    `last_s` is the time that the last successful job of its kind took [s], None if there was none. `bound` is True
+    while the job cannot be cancelled. `client` is the client that started it, if it may only watch. `stop` is the event
+    that ends a flight, `about` a key of what a rehearsal was asked.
     """
 
     id: str
@@ -258,6 +259,7 @@ class Job:
     state: State = "running"
     fraction: float = 0.0
     text: str = "waits for its turn"
+    last_s: float | None = None
     result: Any = None
     error: dict[str, str] | None = None
     bound: bool = False
@@ -273,7 +275,7 @@ class Job:
 
     def to_json(self, with_result: bool = True) -> dict[str, Any]:
         """Return the job as clients get it, as plain data."""
-        names = ("id", "kind", "state", "fraction", "text", "error", "bound", *["result"] * with_result)
+        names = ("id", "kind", "state", "fraction", "text", "last_s", "error", "bound", *["result"] * with_result)
         return {name: getattr(self, name) for name in names}
 
 
@@ -286,7 +288,10 @@ class Jobs:
     def __init__(self, tell: Callable[[Mapping[str, Any]], None]) -> None:
         self._tell_all = tell
         self._jobs: dict[str, Job] = {}
-        self._turns = {role: Turns(AT_ONCE[role], AT_ONCE[role] + MOST_WAITING, "jobs") for role in Role}
+        places = [(role, quick, 1 if quick else AT_ONCE[role]) for role in Role for quick in (True, False)]
+        self._turns = {(role, quick): Turns(n, n + MOST_WAITING, "jobs") for role, quick, n in places}
+        self._warm = {role: _WorkProcess("diagram", TwodofError, background=True, nice=True) for role in Role}
+        self._took: dict[str, float] = {}
 
     @property
     def all(self) -> list[Job]:
@@ -300,28 +305,32 @@ class Jobs:
             raise NotThere("there is no such job, or it ended long ago", f"job {name[:40]}", "start it again")
         return job
 
-    def start(self, kind: str, work: Callable[..., object], *arguments: Any, in_real_time: bool = False) -> Job:
-        """Run `work(progress, *arguments)` in a process of its own; return its job at once.
+    def start(
+        self, kind: str, work: Callable[..., object], *given: Any, live: bool = False, quick: bool = False
+    ) -> Job:
+        """Run `work(progress, *given)` in a process of its own; return its job at once.
 
         `work` is a function of a module, its arguments can be pickled, and it returns plain data for JSON. It calls
-        `progress(fraction, text)` as it goes on. Work `in_real_time` has to keep up with a drone: it begins at once, at
-        full priority. Raises Rejected if too many jobs wait, or if the client only watches and has too many.
+        `progress(fraction, text)` as it goes on. `live` work has to keep up with a drone: it begins at once, at full
+        priority. `quick` work waits for quick work only and shares a process with it, so that caches stay. Raises
+        Rejected if too many jobs wait, or if the client only watches and has too many.
         """
         role, person = client = CLIENT.get()
         watcher = client if role is Role.WATCH else None
-        if not in_real_time:
+        if not live:
             self._check_share(watcher)
 
         async def run(job: Job) -> None:
             # What flies does not wait for what computes, for a viewer perhaps.
-            async with nullcontext() if in_real_time else self._turns[role].turn(person if watcher else ""):
-                job.text = ""
-                process = _WorkProcess(f"job {kind}", TwodofError, background=True, nice=not in_real_time)
+            async with nullcontext() if live else self._turns[role, quick].turn(person if watcher else ""):
+                job.text, began = "", time.monotonic()
+                own = _WorkProcess(f"job {kind}", TwodofError, background=True, nice=not live)
+                process = self._warm[role] if quick else own
                 try:
-                    job.result = await process.run(work, arguments, LONGEST_S, lambda *told: self._tell(job, *told))
-                    job.state = "done"  # also where a cancel comes while its process ends
+                    job.result = await process.run(work, given, LONGEST_S, lambda *told: self._tell(job, *told))
+                    job.state, self._took[kind] = "done", time.monotonic() - began  # also if a cancel comes at its end
                 finally:
-                    await process.close()
+                    await own.close()
 
         return self._begin(Job(secrets.token_hex(8), kind, client=watcher), run)
 
@@ -339,7 +348,7 @@ class Jobs:
         return self._begin(Job(secrets.token_hex(8), kind), run)
 
     def _begin(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> Job:
-        self._jobs[job.id] = job
+        self._jobs[job.id], job.last_s = job, self._took.get(job.kind)
         kept = [one for one in self.all if (one.client is None) == (job.client is None)]
         for old in [one for one in kept if one.over][: max(0, len(kept) - MOST_KEPT)]:
             del self._jobs[old.id]
@@ -358,6 +367,8 @@ class Jobs:
         """End all jobs, bound or not."""
         for job in self.all:
             await self._end(job)
+        for process in self._warm.values():
+            await process.close()
 
     async def _end(self, job: Job) -> None:
         if not job.task.done():

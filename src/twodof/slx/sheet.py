@@ -8,8 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
@@ -33,9 +31,8 @@ KEEPS_WIDTH = (
 """Types of blocks whose output is as wide as their inputs."""
 _JOINS = ("Concatenate", "Mux")
 """Types of blocks that want one type of all their inputs, side by side."""
-_SIZED = {"CombinatorialLogic": ("TruthTable", "zeros(8, 2)"), "DiscreteStateSpace": ("B", "1"), "Gain": ("Gain", "1"),
-          "StateSpace": ("B", "1")}  # fmt: skip
-"""Types of blocks whose parameter says how wide their input is, with its default."""
+_SIZED = {"CombinatorialLogic": "TruthTable", "DiscreteStateSpace": "B", "Gain": "Gain", "StateSpace": "B"}
+"""Types of blocks whose parameter says how wide their input is."""
 BACKWARDS = "Inherit: Inherit via back propagation"
 _TEXTS = {"real": "double", "float32": "single", "bool": "boolean", "float64": "uint64"}
 
@@ -121,31 +118,19 @@ def width_wanted(
         elif block.type == "Selector":
             said = block.values.get("InputPortWidth", "1")
             wanted = int(said) if said.isdigit() else 1
-        elif block.type in _SIZED and (
+        elif (name := _SIZED.get(block.type, "")) and (
             block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
         ):
-            name, default = _SIZED[block.type]
             with suppress(DiagramError, NotComputed):
-                found = as_array(number(evaluate(block.values.get(name, default), sheets[at].names, name)))
+                found = as_array(number(evaluate(block.values.get(name, "1"), sheets[at].names, name)))
                 wanted = found.shape[0].bit_length() - 1 if name == "TruthTable" else found.shape[1]
         elif block.type in KEEPS_WIDTH and hops and pin.number in _data(sheets[at], pin, block):
             wanted = width_wanted(sheets, at, pin.sid, code, folders, hops - 1)
-        elif (one := code.get(below(at, block))) is not None:
-            with suppress(DiagramError, NotComputed):
-                size = argument(one, block, pin.number).get("props/array/size", "-1")
-                wanted = int(np.prod(np.abs(as_array(evaluate(size, sheets[at].names, "size")))))
-            if wanted == 1 and one.function:
-                wanted = last_index(one.text, pin.number, folders)
+        elif block.kind == "MATLAB Function":
+            one = code.get(below(at, block))
+            wanted = 1 if one is None else last_index(one.text, pin.number, folders)
         most = max(most, wanted)
     return most
-
-
-def argument(chart: SimulinkChart, block: SimulinkBlock, number: int) -> Mapping[str, Any]:
-    """Return what a chart or a MATLAB Function declares of its input of this number."""
-    ports = block.system.blocks.values() if block.system is not None else ()
-    name = next((collapsed(one.name) for one in ports if one.type == "Inport" and port_number(one) == number), "")
-    data = [one for one in (chart.form or {}).get("inside", ()) if one["tag"] == "data" and one["name"] == name]
-    return next((one["values"] for one in data if one["values"].get("scope") == "INPUT_DATA"), {})
 
 
 def bus_wanted(
@@ -197,11 +182,10 @@ def type_declared(
     sheets: Sheets,
     path: str,
     sid: str,
-    code: Mapping[str, SimulinkChart],
     known: Callable[[str, Pin], Signal | None] = lambda at, pin: None,
     depth: int = 0,
 ) -> str:
-    """Return the data type that a port, a chart or the element of a bus behind an output declares; "" without one.
+    """Return the data type that a port or the element of a bus behind an output declares; "" without one.
 
     `known` has the types of pins that are known already.
     """
@@ -221,10 +205,7 @@ def type_declared(
             place = ".".join(map(field_name, names[pin.number - 2].split("."))) if pin.number - 2 < len(names) else ""
             found = next((type_text(Signal(one.kind)) for one in leaves if one.name == place), "")
         elif block.type in (*KEEPS_TYPE, *_JOINS, "Reshape") and (block.type != "Switch" or pin.number != 2):
-            found = type_declared(sheets, at, pin.sid, code, known, depth + 1)
-        elif (one := code.get(below(at, block))) is not None:
-            said = argument(one, block, pin.number).get("dataType", "Inherit")
-            found = "" if said.startswith("Inherit") else said
+            found = type_declared(sheets, at, pin.sid, known, depth + 1)
         if found:
             return found
     return ""

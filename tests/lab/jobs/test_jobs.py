@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import os
 import time
 from collections.abc import Awaitable, Callable, Mapping
@@ -170,6 +171,36 @@ def test_a_job_that_is_cancelled_ends_with_its_process() -> None:
     with_jobs(work)
 
 
+@functools.cache
+def computed_once() -> int:
+    """Return the time of the first call in this process."""
+    return time.monotonic_ns()
+
+
+def remembers(progress: Progress) -> int:
+    """Returns what a cache of its process holds."""
+    return computed_once()
+
+
+def test_quick_jobs_wait_for_no_slow_ones_and_keep_their_caches() -> None:
+    async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
+        for _ in range(AT_ONCE[Role.COMMAND]):
+            jobs.start("sleep", sleeps)
+        first, second = (jobs.start("quick", remembers, quick=True) for _ in range(2))
+        await until(lambda: first.over and second.over)
+        assert first.result == second.result is not None
+        stuck = jobs.start("quick", sleeps, quick=True)
+        assert stuck.last_s is not None
+        assert 0.0 < stuck.last_s < PATIENCE_S
+        await until(lambda: stuck.text.isdigit())
+        await jobs.cancel(stuck.id)
+        after = jobs.start("quick", remembers, quick=True)
+        await until(lambda: after.over)
+        assert after.result not in {None, first.result}
+
+    with_jobs(work)
+
+
 def test_jobs_wait_for_their_turn_up_to_a_bound() -> None:
     async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
         at_once = AT_ONCE[Role.COMMAND]
@@ -178,7 +209,7 @@ def test_jobs_wait_for_their_turn_up_to_a_bound() -> None:
             jobs.start("sleep", sleeps)
         await until(lambda: all(job.text.isdigit() for job in started[:at_once]))
         assert {job.text for job in started[at_once:]} == {"waits for its turn"}
-        flight = jobs.start("flight", flies, in_real_time=True)  # what flies waits for none of them
+        flight = jobs.start("flight", flies, live=True)  # what flies waits for none of them
         await until(lambda: flight.over)
         assert flight.result == [os.nice(0), True]
         assert (await jobs.cancel(started[-1].id)).state == "cancelled"  # before its turn

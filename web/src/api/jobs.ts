@@ -8,6 +8,8 @@ export interface Job<T> {
   /** 0 to 1. */
   fraction: number;
   text: string;
+  /** Time that the last successful job of this kind took [s]. */
+  last_s: number | null;
   /** It can no longer be cancelled. */
   bound: boolean;
   result: T | null;

@@ -180,7 +180,7 @@ class FlashRequest(RehearsalRequest):
 @jobs_router.post("/margins", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
 async def margins(lab: CurrentLab, asked: LoopRequest) -> dict[str, Any]:
     """Start a job for the margins and Bode plots of the loops that a diagram closes."""
-    return lab.jobs.start("margins", diagram_work.margins, asked.text, asked.rig).to_json()
+    return lab.jobs.start("margins", diagram_work.margins, asked.text, asked.rig, quick=True).to_json()
 
 
 @jobs_router.post("/px4", status_code=202, dependencies=[WATCHERS_MAY, takes(MOST_TEXT)])
@@ -194,7 +194,7 @@ async def rehearsal(lab: CurrentLab, asked: RehearsalRequest) -> dict[str, Any]:
     """Start a job that does every step of flashing but the last. Nothing is changed on the drone."""
     template = await lab.workbench.do(diagram_work.template, asked.text, seconds=COMPILE_S)
     before, origin = await _flies(lab, asked.drone, template)
-    job = lab.jobs.start("rehearsal", diagram_work.rehearsal, asked.text, before, origin)
+    job = lab.jobs.start("rehearsal", diagram_work.rehearsal, asked.text, before, origin, quick=True)
     job.about = _mark(asked.drone, asked.text)
     return job.to_json()
 

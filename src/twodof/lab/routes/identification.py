@@ -95,11 +95,10 @@ async def flown(lab: CurrentLab, asked: FlightRequest) -> dict[str, Any]:
     await one.connection.pilot.give_up()
     stop = multiprocessing.get_context("forkserver").Event()
     key = None if lab.settings.key is None else str(lab.settings.key)
-    folder = str(lab.logs.folder)
-    given = (stop, one.url, asked.drone, key, made, asked.seed, folder)
+    given = (stop, one.url, asked.drone, key, made, asked.seed, str(lab.logs.folder))
     lent = ExitStack()
     lent.enter_context(one.lend())
-    job = lab.jobs.start("flight", fly_experiment, *given, in_real_time=True)
+    job = lab.jobs.start("flight", fly_experiment, *given, live=True)
     job.stop = stop
     job.task.add_done_callback(lambda _: _flown(one, lent, job))
     return job.to_json()

@@ -40,6 +40,7 @@ class Acts {
   tab = $state<"block" | "problems" | "margins" | "code">("block");
   openAlignMenu: () => void = () => undefined;
   save: () => void = () => undefined;
+  begin: () => void = () => undefined;
   /** Node whose wires are walked by W. */
   hub = "";
   private copied = "";
