@@ -72,7 +72,7 @@ def outer(item: Block | Diagram | None = None, **changes: Any) -> Diagram:
             [
                 "~ output pid.y: from pid.own.y -> from pid.filter.y",
                 "+ parameter pid.filter.cutoff: 5.0 Hz, 0 to inf",
-                "+ parameter pid.filter.initial: 0.0",
+                "+ initial value pid.filter.initial: 0.0",
                 "+ block pid.filter: low_pass (method='trapezoidal')",
                 "+ connection pid.filter.u: from pid.own.y",
             ],

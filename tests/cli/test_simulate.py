@@ -83,6 +83,13 @@ def test_a_mistake_is_refused_with_its_remedy(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_initial_values_are_not_listed_among_gains(shell: Shell) -> None:
+    out = shell(["simulate", "attitude-steps", "--controller", "notch-attitude"]).out
+    assert "attitude_control.notch_hz = 38 Hz" in out
+    assert "attitude_control.notch.initial" not in out
+    assert "and 5 more, initial values among them" in out
+
+
 def test_a_users_controller_flies_tuned(tmp_path: Path, shell: Shell) -> None:
     file = tmp_path / "mine.json"
     new_diagram("lqr-attitude", file)

@@ -224,6 +224,11 @@ class Param:
                 what = f"the default {value} is outside [{self.low}, {self.high}]"
                 raise DiagramError(what, self.name, "change the default or the bounds")
 
+    @property
+    def is_initial(self) -> bool:
+        """Return True for a value of before the start, which is no gain: the library names these `initial...`."""
+        return self.name.rpartition(".")[2].startswith("initial")
+
 
 class Typed(Protocol):
     """Type and size of a declaration, an expression or a signal."""

@@ -10,7 +10,7 @@ from twodof.blocks.declarations import Param, shape
 from twodof.blocks.diagram import Diagram, Part
 from twodof.blocks.schema.traced_block import graph_to_json
 
-WHATS = ("input", "output", "parameter", "block", "connection")
+WHATS = ("input", "output", "parameter", "initial value", "block", "connection")
 _SHOWN = 8  # elements of an array
 
 
@@ -68,7 +68,7 @@ def difference(before: Diagram, after: Diagram) -> Difference:
         for path in sorted({*was, *now}):
             a, b = was.get(path, ""), now.get(path, "")
             # What is inside a part that came or went does so with it; only its own parameters and connections are news.
-            at = path.rpartition(".")[0] if what in ("parameter", "connection") else path
+            at = path.rpartition(".")[0] if what in ("parameter", "initial value", "connection") else path
             if a != b and not moved.intersection(_above(at)):
                 changes.append(Change(what, path, a, b))
     return Difference(tuple(changes))
@@ -100,7 +100,8 @@ def _listing(diagram: Diagram) -> dict[str, dict[str, str]]:
                 enter(part.item, f"{path}.")
                 continue
             free = (param for param in part.item.params if param.name not in part.params)
-            rows["parameter"] |= {f"{path}.{param.name}": _parameter(param) for param in free}
+            for param in free:
+                rows["initial value" if param.is_initial else "parameter"][f"{path}.{param.name}"] = _parameter(param)
         for (name, port_name), source in diagram.connections.items():
             rows["connection"][f"{prefix}{name}.{port_name}"] = f"from {_full(diagram, source, prefix)}"
 

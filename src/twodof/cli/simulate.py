@@ -205,14 +205,14 @@ def _parameter_lines(laboratory: Laboratory, kind: str) -> Iterator[str]:
     """Yield a controller's described parameters with value, bounds and unit, and the count of the others."""
     everything = laboratory.loop.controller_parameters()
     rows = {path: row for path, row in everything.items() if path.startswith(f"{kind}.")}
-    shown = {path: row for path, row in rows.items() if row[0].text}
+    shown = {path: row for path, row in rows.items() if row[0].text and not row[0].is_initial}
     for path, (declared, value) in shown.items():
         numbers = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list) else f"{value:.6g}"
         bounds = f"{declared.low:g} to {declared.high:g}"
         unit = f" {declared.unit}" if declared.unit else ""
         yield f"  {path} = {numbers}{unit} ({bounds}): {declared.text}"
     if len(rows) > len(shown):
-        yield f"  and {len(rows) - len(shown)} more without a description; --json lists them"
+        yield f"  and {len(rows) - len(shown)} more, initial values among them; --json lists them"
 
 
 # The right gains leave less than 1e-5, in float32 too; a gain that is 1 % off leaves some 1e-2 of its loop's output.

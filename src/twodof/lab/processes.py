@@ -305,10 +305,8 @@ class Jobs:
             raise NotThere("there is no such job, or it ended long ago", f"job {name[:40]}", "start it again")
         return job
 
-    def start(
-        self, kind: str, work: Callable[..., object], *given: Any, live: bool = False, quick: bool = False
-    ) -> Job:
-        """Run `work(progress, *given)` in a process of its own; return its job at once.
+    def start(self, kind: str, work: Callable[..., object], *args: Any, live: bool = False, quick: bool = False) -> Job:
+        """Run `work(progress, *args)` in a process of its own; return its job at once.
 
         `work` is a function of a module, its arguments can be pickled, and it returns plain data for JSON. It calls
         `progress(fraction, text)` as it goes on. `live` work has to keep up with a drone: it begins at once, at full
@@ -327,7 +325,7 @@ class Jobs:
                 own = _WorkProcess(f"job {kind}", TwodofError, background=True, nice=not live)
                 process = self._warm[role] if quick else own
                 try:
-                    job.result = await process.run(work, given, LONGEST_S, lambda *told: self._tell(job, *told))
+                    job.result = await process.run(work, args, LONGEST_S, lambda *told: self._tell(job, *told))
                     job.state, self._took[kind] = "done", time.monotonic() - began  # also if a cancel comes at its end
                 finally:
                     await own.close()

@@ -221,7 +221,7 @@ def user_parameters(controllers: Iterable[Diagram]) -> tuple[UserParameters, ...
 def _of(kind: str, diagram: Diagram, taken: Iterable[str]) -> UserParameters:
     program = lower(diagram, PERIOD)
     shown, kept = diagram_rows(program, module_names(diagram.name).prefix, taken, kind)
-    starts = {f"{n.path}.{p.name}" for n in program.nodes for p in n.block.params if p.name.startswith("initial")}
+    starts = {f"{n.path}.{p.name}" for n in program.nodes for p in n.block.params if p.is_initial}
     rows: list[VehicleParameter] = []
     elements: dict[str, tuple[Param, tuple[VehicleParameter, ...]]] = {}
     for one in shown:
