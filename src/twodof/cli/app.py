@@ -21,30 +21,33 @@ COMMANDS = MappingProxyType(
     {
         "demo": ("demo", "Fly, identify and compare with the paper; write the report."),
         "simulate": ("simulate", "Fly an experiment, or a log's set-points, on a virtual rig."),
-        "up": ("up", "Start virtual drones, and say where to connect."),
-        "lab": ("up", "Serve the page in the browser: fly, tune, identify, design."),
+        "up": ("up", "Start virtual drones with their browser page. Start here."),
+        "lab": ("up", "Serve only the browser page, for drones that run already."),
         "fly": ("fly", "Fly an experiment over MAVLink, on a virtual drone or a real one."),
-        "watch": ("watch", "Watch drones in the terminal: state, mode, angle, position, battery, their last words."),
-        "diagram": ("diagram", "Start, check, test, draw and linearize a diagram; see the C that it becomes."),
-        "slx": ("slx", "See what is in a Simulink file, draw it, compare two, import a controller."),
-        "flash": ("flash", "Check and compile a controller, say what changes, and let it fly."),
+        "watch": ("watch", "Watch drones in the terminal: state, mode, angle, position, battery, messages."),
+        "diagram": ("diagram", "Create, check, test, draw and linearize a diagram; show its C."),
+        "slx": ("slx", "Inspect, draw and compare Simulink files, import a controller."),
+        "flash": ("flash", "Check and compile a controller, show the changes, and make it fly."),
         "identify": ("identify", "Identify a model from a flight log."),
-        "campaign": ("campaign", "Fly many times, and see how often the default fit holds the truth."),
-        "design": ("design", "Design a controller on an identified model, promise its flight, and judge it."),
-        "margins": ("margins", "Say the margins of a loop of your own: plant and controller."),
-        "bode": ("margins", "Draw the Bode plot of a loop, its margins marked."),
+        "campaign": ("campaign", "Fly many times, and count how often the fit's intervals hold the true values."),
+        "design": (
+            "design",
+            "Design a controller for an identified model, predict its flight, and compare it with a flight.",
+        ),
+        "margins": ("margins", "Compute the margins of a loop of your own: plant and controller."),
+        "bode": ("margins", "Draw the Bode plot of a loop with its margins."),
         "rlocus": ("margins", "Draw the root locus of a loop."),
-        "step": ("margins", "Give the step response of a closed loop."),
+        "step": ("margins", "Draw the step response of a closed loop, with its figures."),
         "fcu": ("fcu", "Run a virtual drone: rig and flight controller, reached over MAVLink."),
         "replay": ("simulate", "Feed a log's inputs to the compiled flight code and compare its outputs."),
-        "log": ("log", "Look into flight logs and convert them."),
+        "log": ("log", "Inspect, draw, convert, recover and download flight logs."),
         "calibrate": ("simulate", "Calibrate the virtual rig on the real drone's logs."),
         "companion": ("companion", "Route MAVLink between the flight controller and clients; run an app on board."),
-        "drones": ("connection", "List the drones that can be heard, and where to connect to them."),
-        "parameters": ("connection", "See and set what can be tuned on a drone, in flight too."),
-        "kill": ("connection", "Motors off, now, whoever commands the drone."),
-        "key": ("connection", "Make a key that signs what is sent over MAVLink."),
-        "px4": ("flash", "Make a module for PX4 of a diagram, and see whether a PX4 fits it."),
+        "drones": ("connection", "List the drones in reach, with their addresses."),
+        "parameters": ("connection", "Show and set a drone's parameters, in flight too."),
+        "kill": ("connection", "Stop the motors now, whoever commands the drone."),
+        "key": ("connection", "Make a key that signs MAVLink messages."),
+        "px4": ("flash", "Export a diagram as a module for PX4, and check it against a PX4 checkout."),
     }
 )
 
@@ -73,8 +76,8 @@ class LazyGroup(TyperGroup):
         sys.stdout.write(
             f"Usage: {ctx.command_path} COMMAND [ARGUMENTS]...\n\n{self.help}\n\nCommands:\n"
             + "\n".join(lines)
-            + "\n\nEach command has --help. Exit status: 0 fine, 1 a flight, fit or tool went wrong, 2 a mistake in "
-            "what was asked, 130 interrupted.\n"
+            + "\n\nEach command has --help. Exit status: 0 success, 1 a flight, fit or tool failed, 2 wrong usage, "
+            "130 interrupted.\n"
         )
 
     def invoke(self, ctx: Any) -> Any:

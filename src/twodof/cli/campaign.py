@@ -20,22 +20,22 @@ def campaign(
     seeds: Annotated[int, option("Flights of each experiment, with seeds from 1 on.", min=1, max=100_000)] = 72,
     out: Annotated[
         Path | None,
-        option("Keep a row of figures for each flight there, as lines of JSON; the same command goes on.", "FILE"),
+        option(
+            "Write the figures of each flight to this file, one JSON line each; the same command continues it.", "FILE"
+        ),
     ] = None,
-    drawn: Annotated[
-        bool, option("Fly a drone of its own each time, drawn from what the fit takes for likely before the flight.")
-    ] = False,
-    processes: Annotated[int | None, option("Processes; left out: one a core.", min=1, max=1024)] = None,
+    drawn: Annotated[bool, option("Fly a different drone each time, drawn from the prior of the fit.")] = False,
+    processes: Annotated[int | None, option("Number of processes; default: one per core.", min=1, max=1024)] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Fly experiments on a virtual rig, identify each flight by itself, and count the intervals that hold the truth.
 
-    Each flight is identified as `twodof identify` and the page do it. For each unknown: the rig's own value, what a
-    flight claims (the median standard deviation), how many 95 % intervals hold the truth, the p-value of that count,
+    Each flight is identified as by `twodof identify` and the page. Printed for each unknown: the rig's own value, what
+    a flight claims (the median standard deviation), how many 95 % intervals hold the truth, the p-value of that count,
     and bias and spread of the estimates over the claim.
 
-    A campaign that was stopped, by Ctrl-C or a kill, goes on from FILE.
+    A campaign that was stopped, by Ctrl-C or a kill, continues from FILE.
     """
     for name in experiments:
         if name not in FLOWN:

@@ -51,25 +51,21 @@ def route(
     context: typer.Context,
     fcu: Annotated[
         str | None,
-        option(f"The flight controller; left out: tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index.", "URL"),
+        option(f"Address of the flight controller; default: tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index.", "URL"),
     ] = None,
     index: Index = 0,
-    onboard: Annotated[
-        list[str] | None, option("Serve clients there with onboard rates; may be repeated.", "URL")
-    ] = None,
-    ground: Annotated[
-        list[str] | None, option("Serve clients there with ground rates; may be repeated.", "URL")
-    ] = None,
-    open_: Annotated[bool, flag("Let other machines in, not this one alone.", "--open")] = False,
+    onboard: Annotated[list[str] | None, option("Address for clients with onboard rates; repeatable.", "URL")] = None,
+    ground: Annotated[list[str] | None, option("Address for clients with ground rates; repeatable.", "URL")] = None,
+    open_: Annotated[bool, flag("Let other computers connect too.", "--open")] = False,
     key: Annotated[
-        Path | None, option("Sign what it says itself with this key, and let nothing else through.", "FILE")
+        Path | None, option("Sign its own messages with this key, and pass on signed messages only.", "FILE")
     ] = None,
     line_rate: Annotated[
-        float | None, option("What the line to the flight controller carries [byte/s].", min=100.0)
+        float | None, option("Capacity of the line to the flight controller [byte/s].", min=100.0)
     ] = None,
     json: Json = False,
 ) -> None:
-    """Pass MAVLink between the flight controller and several clients, each with its own streams.
+    """Route MAVLink between the flight controller and several clients, each with its own streams.
 
     Without --onboard and --ground it serves as PX4 in simulation does: UDP 14580 + index to 14540 + index, 18570 +
     index to 14550, TCP 5760 + index, index 0 to 9. It prints a line `listening on URL` for each (with --json one line
@@ -97,10 +93,10 @@ def route(
 def run(
     context: typer.Context,
     program: Annotated[Path, argument("A file with `async def main(drone)`.", "APP", exists=True, dir_okay=False)],
-    restarts: Annotated[int, option("How often in a row it is started again.", min=0, max=100)] = 4,
-    memory: Annotated[int, option("Memory that it may use [MiB].", min=64)] = 4096,
+    restarts: Annotated[int, option("Most restarts in a row.", min=0, max=100)] = 4,
+    memory: Annotated[int, option("Memory limit of the app [MiB].", min=64)] = 4096,
 ) -> None:
-    """Route, and run a program of your own on board: started again if it crashes, ended with the companion.
+    """Route, and run your own program on board: restarted if it crashes, ended with the companion.
 
     Exit status: 0 it ended by itself, 1 it crashed too often, 2 it is not an app.
     """

@@ -23,9 +23,11 @@ from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
 from twodof.gcs.parameters import REAL32, ParameterDescription, ParameterEntry
 from twodof.link.signing import Key, write_key
 
-UrlOfDrone = Annotated[str, option("Where the drone is, as `twodof up` or `twodof drones` says.")]
-SystemOfDrone = Annotated[int | None, option("Its system, where several are heard.", min=1, max=255)]
-KeyOfDrone = Annotated[Path | None, option("File of the key that signs everything.")]
+UrlOfDrone = Annotated[str, option("The drone's address, as `twodof up` or `twodof drones` prints it.")]
+SystemOfDrone = Annotated[
+    int | None, option("The drone's MAVLink system id, if there are several drones.", min=1, max=255)
+]
+KeyOfDrone = Annotated[Path | None, option("File of the key that signs all messages.")]
 
 
 def connect(url: str, key: Path | None = None, drone: int | None = None) -> Drone:
@@ -73,11 +75,11 @@ async def run_until_signal(work: Coroutine[object, object, int | None]) -> int |
 
 
 def drones(
-    host: Annotated[list[str] | None, argument("Machines to ask besides this one.", "HOST")] = None,
-    timeout: Annotated[float, option("How long to listen [s].", min=0.1, max=60.0)] = 3.0,
+    host: Annotated[list[str] | None, argument("Other computers to ask.", "HOST")] = None,
+    timeout: Annotated[float, option("Time to listen [s].", min=0.1, max=60.0)] = 3.0,
     json: Json = False,
 ) -> None:
-    """List the drones that are heard on PX4's ports of this machine, or answer at those of HOST. Commands nothing."""
+    """List the drones on PX4's ports of this computer, or of HOST. Sends no command."""
     found = asyncio.run(discover(timeout, [LOOPBACK, *(host or ())]))
     rows = table("drone", "connect to", "mode", "", "autopilot", "")
     drones_at = Counter(one.url for one in found)
@@ -97,10 +99,10 @@ def kill(
     release: Annotated[bool, flag("Let a drone that was killed be armed again.", "--release")] = False,
     json: Json = False,
 ) -> None:
-    """Motors off, now: in flight too, and though another program commands it. It needs no lease and takes none.
+    """Stop the motors now, in flight too, even if another program commands the drone. No lease is needed.
 
-    The kill is repeated until the drone is seen to be disarmed. No program can arm it until --release, which takes the
-    lease. Exit status 2: no drone was heard, or it was not seen to obey.
+    The kill is repeated until the drone reports that it is disarmed. No program can arm it until --release, which takes
+    the lease. Exit status 2: no drone answered, or the drone did not confirm.
     """
     if release:
         _release(url, drone, key, json)
@@ -125,13 +127,13 @@ def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
 
 
 def key(
-    file: Annotated[Path, argument("Where to write it; no file may be there.", "FILE")],
+    file: Annotated[Path, argument("File to write; it must not exist.", "FILE")],
     json: Json = False,
 ) -> None:
-    """Draw a key at random and write it to a new file that only its owner can read.
+    """Write a random key to a new file that only you can read.
 
-    All who are to understand each other get a copy of the file, by a way that nobody listens to, and name it with
-    --key. What is printed is its fingerprint, which tells two keys apart and gives neither away.
+    Copy the file over a safe channel to every program that takes part, and pass it with --key. The printed fingerprint
+    identifies the key without revealing it.
     """
     made = Key.fresh()
     write_key(file, made)
@@ -142,22 +144,24 @@ def key(
 def parameters(
     wanted: Annotated[
         list[str] | None,
-        argument("Which to show, or to set: a name, or a path such as attitude_control.k_q.", "[NAME[=VALUE]]..."),
+        argument("Parameters to show or to set: a name, or a path such as attitude_control.k_q.", "[NAME[=VALUE]]..."),
     ] = None,
     url: UrlOfDrone = DEFAULT_URL,
     drone: SystemOfDrone = None,
     key: KeyOfDrone = None,
-    changed: Annotated[bool, flag("Of all, show those that are not at their defaults.", "--changed")] = False,
-    save: Annotated[Path | None, option("Write all to this file, which QGroundControl loads (.params).")] = None,
+    changed: Annotated[bool, flag("Show only parameters that are not at their defaults.", "--changed")] = False,
+    save: Annotated[
+        Path | None, option("Write all parameters to this file, which QGroundControl loads (.params).")
+    ] = None,
     load: Annotated[
-        Path | None, option("Set what differs in this file of QGroundControl's (.params), and show it.")
+        Path | None, option("Set the parameters that differ in this file of QGroundControl (.params), and show them.")
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show a drone's parameters, or set several at one tick: all of them, or none.
+    """Show a drone's parameters, or set several at once: all of them, or none.
 
-    If your own controller flies there, the paths in its diagram name its parameters too. It takes no lease:
+    If your own controller flies, its parameters also have the paths in its diagram. It takes no lease:
     you can tune the gains of a drone that another program flies, unless that program forbids it. If the drone
     refuses a value or does not know a name: exit status 2, and nothing was changed.
     """

@@ -38,7 +38,7 @@ from twodof.sim.promised.rail_design import RailDesign, rail_design
 from twodof.sim.promised.rail_promise import MEMBERS as RAIL_MEMBERS
 from twodof.sim.promised.rail_promise import RailFamily, check_rail, rail_promise
 
-design = group("Design a controller on an identified model, promise its flight, and judge it.")
+design = group("Design a controller for an identified model, predict its flight, and compare it with a flight.")
 
 _IDENTIFIED = "give what `twodof identify --json` printed"
 
@@ -46,10 +46,10 @@ _IDENTIFIED = "give what `twodof identify --json` printed"
 @design.command()
 def controller(
     model: Annotated[str, argument("What `twodof identify --json` printed; -: from standard input.", "MODEL")],
-    out: Annotated[Path, option("Write the controller there, a diagram as JSON.", "FILE")],
+    out: Annotated[Path, option("Write the controller to this file, as a diagram in JSON.", "FILE")],
     crossover: Annotated[float, option("Crossover of the rate loop, which --phase-margin meets.", "RAD/S")] = CROSSOVER,
     phase_margin: Annotated[
-        float | None, option("Phase margin of the rate loop; left out: what the course's rule gives.", "DEG")
+        float | None, option("Phase margin of the rate loop; default: by the course's rule.", "DEG")
     ] = None,
     method: Annotated[
         Literal["cascade", "lqg"], option("The cascade of the drone, or LQG: state feedback with a Kalman filter.")
@@ -57,31 +57,29 @@ def controller(
     spec: Annotated[
         Path | None, option("A specification (TOML): optimise the gains for it, and check them.", "FILE")
     ] = None,
-    separation: Annotated[
-        float, option("The attitude loop crosses over at this part of the rate loop's crossover.")
-    ] = SEPARATION,
+    separation: Annotated[float, option("The rate loop's crossover over the attitude loop's.")] = SEPARATION,
     anti_windup: Annotated[
         Literal["none", "clamping", "back-calculation"],
         option("Of the cascade's rate PID, with M limited to what the motors give in hover."),
     ] = "none",
     promise_file: PromiseFile = None,
     plot: PromisePlot = None,
-    goal: Annotated[float, option("The step of the pitch that is promised.", "DEG")] = 10.0,
+    goal: Annotated[float, option("Size of the predicted pitch step.", "DEG")] = 10.0,
     gust: Annotated[float | None, option("Standard deviation of the gusts' angular acceleration.", "RAD/S2")] = None,
     gust_time: Annotated[float | None, option("Correlation time of the gusts.", "S")] = None,
-    q_noise: Annotated[float | None, option("Noise of a sample of q; left out: the model's.", "RAD/S")] = None,
+    q_noise: Annotated[float | None, option("Noise of a sample of q; default: the model's.", "RAD/S")] = None,
     members: Members = MEMBERS,
     seed: Seed = 1,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Design the cascade's rate PID and attitude P on an identified pitch, and promise what they will do.
+    """Design the cascade's rate PID and attitude P for an identified pitch, and predict the step response.
 
-    The family of the model is its estimate with its covariance. 2,000 drones are sampled from it, and a local search
-    looks for the worst one on the border of its 99.9 % region. If one of them is unstable, the controller is not
+    2,000 drones are sampled from the model's estimate and covariance, and a local search looks for the worst one on the
+    border of the 99.9 % region. If one of them is unstable, the controller is not
     written: exit status 1.
 
-    With --spec the gains are those that meet the specification best, by structured H-infinity. Exit status 1 also where
+    With --spec the gains are those that meet the specification best, by structured H-infinity. Exit status 1 also if
     they miss it.
     """
     if spec is not None and method != "cascade":
@@ -134,9 +132,9 @@ def verdict(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Lay the steps that were flown beside what was promised, channel by channel and figure by figure.
+    """Compare flown steps with the promise, channel by channel and figure by figure.
 
-    Exit status 1: part of the promise was broken in more steps than chance explains.
+    Exit status 1: more steps broke part of the promise than chance explains.
     """
     if plot is not None:
         check_place(plot, force)
@@ -193,36 +191,38 @@ def rail(
     pitch: Annotated[Path, argument("The pitch's model, of `twodof identify --out`.", "PITCH")],
     cart: Annotated[Path, argument("The cart's model, `twodof identify --out` of a velocity-doublet.", "CART")],
     controller: Annotated[
-        list[str] | None, option(f"In place of a stock loop; repeatable. {DIAGRAM_HELP}", "DIAGRAM")
+        list[str] | None, option(f"Fly this controller in place of a stock loop; repeatable. {DIAGRAM_HELP}", "DIAGRAM")
     ] = None,
     gains: StockGains = "default",
     loop: Annotated[
-        Literal["velocity", "position"] | None, option("Whose set-point steps; left out: the specification's.")
+        Literal["velocity", "position"] | None, option("Loop whose set-point steps; default: the specification's.")
     ] = None,
-    goal: Annotated[float | None, option("The step; left out: the specification's, or .15.", "M/S|M")] = None,
+    goal: Annotated[float | None, option("Size of the step; default: the specification's, or .15.", "M/S|M")] = None,
     spec: Annotated[Path | None, option("A specification (TOML) with a table [rail]: check it.", "FILE")] = None,
     out: Annotated[
-        Path | None, option("Search the stock loops' gains for --spec, from --gains on; write them there.", "FILE")
+        Path | None,
+        option("Search the stock loops' gains for --spec, starting at --gains, and write them to this file.", "FILE"),
     ] = None,
     promise_file: PromiseFile = None,
     plot: PromisePlot = None,
     rig: Annotated[
         str | None,
-        option("What no model tells, such as sensors, is this rig's; left out: the rig that was flown.", "RIG"),
+        option("Rig for what the models do not hold, such as sensors; default: the rig that was flown.", "RIG"),
     ] = None,
     members: Members = RAIL_MEMBERS,
     seed: Seed = 1,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Promise a step of the velocity or position, by flights of the identified family on the virtual rig.
+    """Predict a step of the velocity or position, by flights of the identified family on the virtual rig.
 
-    All limits, sensors and the estimator are in these flights. `twodof design verdict` holds a log against the promise.
+    All limits, sensors and the estimator are in these flights. `twodof design verdict` compares a log with the
+    prediction.
 
-    With --spec and --out the gains are those that meet the specification best. They are written as `--gains` reads
-    them, here and in `twodof simulate`.
+    With --spec and --out the gains are those that meet the specification best. They are written in the format of
+    `--gains`, here and in `twodof simulate`.
 
-    Exit status 1: a member meets an end stop, or the specification is missed.
+    Exit status 1: a sampled drone meets an end stop, or the specification is missed.
     """
     if out is not None and (spec is None or controller):
         raise typer.BadParameter("--out searches gains of the stock loops for --spec: give --spec, and no --controller")

@@ -36,7 +36,7 @@ from twodof.report.diagram_svg import find, to_svg
 from twodof.report.report_page import code_page
 from twodof.report.state_machine_svg import machine_at, machine_svg
 
-diagram = group("Start, check, test, draw, read, export and linearize diagrams, and say the margins of their loops.")
+diagram = group("Create, check, test, draw, export and linearize diagrams, and compute the margins of their loops.")
 diagram.command("margins")(cascade_loops)
 
 MAX_AT_BYTES = 2**20
@@ -49,9 +49,9 @@ Tick = Annotated[float, option("Base tick.", "SECONDS", "--dt")]
 def new(
     starter: Annotated[str, argument(DIAGRAM_HELP.partition(", or ")[2], "STARTER")],
     file: Annotated[Path, argument("Where to write it, as JSON.", "FILE")],
-    force: Annotated[bool, flag("Replace a file that is there.", "--force", "--overwrite")] = False,
+    force: Annotated[bool, flag("Replace an existing file.", "--force", "--overwrite")] = False,
 ) -> None:
-    """Write a starter diagram to a file, to be changed."""
+    """Write a starter diagram to a file, as a start for your own."""
     made = new_diagram(starter, file, force)
     table_console().print(f"{file}: {made.name}, {made.text}")
 
@@ -61,11 +61,11 @@ def check(
     diagram: Which,
     dt: Tick = 0.004,
     template: Annotated[
-        str | None, option("Ask that it fits this template of the drone's controllers.", "NAME")
+        str | None, option("Require that it fits this template of the drone's controllers.", "NAME")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Name all problems of a diagram, or its sizes, what is odd about it, and the template that it fits.
+    """List all problems of a diagram, or its sizes, remarks, and the template that it fits.
 
     Exit status 1 if it does not compile, or does not fit the template asked for.
     """
@@ -134,13 +134,13 @@ def code(
     diagram: Which,
     dt: Tick = 0.004,
     precision: Reals = "float64",
-    block: Annotated[str | None, option("Only what this block became.", "PATH")] = None,
-    html: Annotated[Path | None, option("Write a page that shows both sides.", "FILE")] = None,
-    out: Annotated[Path | None, option("Write the C itself.", "FILE")] = None,
+    block: Annotated[str | None, option("Only the C of this block.", "PATH")] = None,
+    html: Annotated[Path | None, option("Write an HTML page that shows diagram and C side by side.", "FILE")] = None,
+    out: Annotated[Path | None, option("Write the C to this file.", "FILE")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show the generated C beside the paths of the blocks that it came from."""
+    """Show the generated C, each line with the path of its block."""
     for path in filter(None, (out, html)):
         check_folder(path, force)
     shown = load_diagram(diagram)
@@ -188,7 +188,7 @@ def _is_shown(line: SourceLine) -> bool:
 @diagram.command()
 def render(
     diagram: Which,
-    out: Annotated[Path | None, option("The SVG file; default: standard output.", "FILE")] = None,
+    out: Annotated[Path | None, option("SVG file; default: standard output.", "FILE")] = None,
     depth: Annotated[int, option("Open sub-diagrams down to this level.", min=0, max=64)] = 0,
     path: Annotated[str, option("Draw only this sub-diagram, or state machine.", "SUB")] = "",
     force: Force = False,
@@ -212,18 +212,26 @@ def render(
 def linearize(
     diagram: Which,
     dt: Tick = 0.004,
-    at: Annotated[str | None, option("The point: a JSON object, or a file with one; else the start.", "JSON")] = None,
-    trim: Annotated[bool, flag("Search an equilibrium near the point.", "--trim")] = False,
+    at: Annotated[
+        str | None, option("The point: a JSON object, or a file with one; default: the start.", "JSON")
+    ] = None,
+    trim: Annotated[bool, flag("Search for an equilibrium near the point.", "--trim")] = False,
     free: Annotated[list[str] | None, option("With --trim: an input that may move.", "INPUT")] = None,
     inputs: Annotated[
-        list[str] | None, option("An input, or a signal's path: it is cut there.", "NAME", "--input")
+        list[str] | None,
+        option("Input of the model: an input, or a signal's path, where the loop is cut.", "NAME", "--input"),
     ] = None,
-    outputs: Annotated[list[str] | None, option("An output, or a signal's path.", "NAME", "--output")] = None,
-    time: Annotated[Literal["auto", "continuous", "discrete"], option("dx/dt, the step map, or what fits.")] = "auto",
-    keep_all: Annotated[bool, flag("Keep states without influence.", "--keep-all")] = False,
+    outputs: Annotated[
+        list[str] | None, option("Output of the model: an output, or a signal's path.", "NAME", "--output")
+    ] = None,
+    time: Annotated[
+        Literal["auto", "continuous", "discrete"],
+        option("Continuous dx/dt, the discrete step map, or the one that fits the diagram."),
+    ] = "auto",
+    keep_all: Annotated[bool, flag("Keep states that have no influence on the outputs.", "--keep-all")] = False,
     json: Json = False,
 ) -> None:
-    """Give the exact A, B, C, D of a diagram at a point."""
+    """Compute the exact linear model A, B, C, D of a diagram at a point."""
     found = linearize_diagram(
         load_diagram(diagram), dt, _at(at), inputs or None, outputs or None, trim, free or (), time, keep_all
     )
@@ -300,10 +308,10 @@ def export(
     ] = Path(),
     dt: Tick = 0.004,
     precision: Reals = "float64",
-    log: Annotated[list[str] | None, option("Return this signal too. May be repeated.", "PATH", "--log")] = None,
-    name: Annotated[str, option("How all names begin. By default the diagram's name.", "NAME")] = "",
+    log: Annotated[list[str] | None, option("Return this signal too; repeatable.", "PATH", "--log")] = None,
+    name: Annotated[str, option("Prefix of all names; default: the diagram's name.", "NAME")] = "",
     tables: Annotated[
-        bool, flag("With tables of parameters and signals, for live tuning and logging.", "--tables")
+        bool, flag("Add tables of parameters and signals, for live tuning and logging.", "--tables")
     ] = False,
     force: Force = False,
     json: Json = False,
@@ -330,9 +338,7 @@ def fmu(
     fmi: Annotated[FmiVersion, option("Version of FMI; 2.0 has no arrays and one type of integers.")] = "3.0",
     dt: Tick = 0.004,
     precision: Reals = "float64",
-    log: Annotated[
-        list[str] | None, option("Make this signal an output too. May be repeated.", "PATH", "--log")
-    ] = None,
+    log: Annotated[list[str] | None, option("Make this signal an output too; repeatable.", "PATH", "--log")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -362,18 +368,18 @@ RunOn = Literal["reference", "native", "wasm", "cortex-m7"]
 def run_tests(
     diagram: Annotated[str, argument(DIAGRAM_HELP, "DIAGRAM")],
     tests: Annotated[list[Path], argument("Files of tests (TOML).", "TESTS...")],
-    target: Annotated[RunOn, option("What runs it; all give the same bits.")] = "native",
+    target: Annotated[RunOn, option("How to run it; all give the same bits.")] = "native",
     precision: Reals = "float64",
     junit: Annotated[Path | None, option("Write the results as JUnit XML.", "FILE")] = None,
-    html: Annotated[Path | None, option("Write a page with plots of what failed.", "FILE")] = None,
-    coverage: Annotated[bool, flag("Say which decisions were never taken.", "--coverage")] = False,
+    html: Annotated[Path | None, option("Write an HTML page with plots of the failed tests.", "FILE")] = None,
+    coverage: Annotated[bool, flag("List the decisions that were never taken.", "--coverage")] = False,
     coverage_min: Annotated[
-        float | None, option("Fail if fewer sides are taken.", "PERCENT", min=0.0, max=100.0)
+        float | None, option("Fail if fewer sides of the decisions are taken.", "PERCENT", min=0.0, max=100.0)
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Run tests of a diagram: inputs over time, and what its outputs must do. Exit status 1 if one fails.
+    """Run tests of a diagram: inputs over time, and what its outputs must be. Exit status 1 if a test fails.
 
     Coverage is measured on the reference, in the same precision: each limit, switch and condition has two sides.
     """

@@ -20,8 +20,8 @@ def fcu(
     listen: Annotated[
         list[str] | None,
         option(
-            f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index. "
-            "Port 0: one that is free.",
+            f"Address to listen at; repeatable. Default: tcpin://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index. "
+            "Port 0: a free one.",
             "URL",
         ),
     ] = None,
@@ -30,9 +30,7 @@ def fcu(
     rings: options.Rings = False,
     controller: Annotated[
         list[str] | None,
-        option(
-            f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP}", "DIAGRAM"
-        ),
+        option(f"Fly this controller in place of the stock one of its template; repeatable. {DIAGRAM_HELP}", "DIAGRAM"),
     ] = None,
     trust: options.Trust = False,
     lockstep: options.Lockstep = False,
@@ -42,21 +40,22 @@ def fcu(
     precision: options.Precision = "float64",
     safety_switch: options.SafetySwitch = True,
     rate: Annotated[
-        str, option("Streams that every client gets: onboard, or ground as a ground station wants them.")
+        str, option("Rates of the streams that each client gets: onboard, or ground for a ground station.")
     ] = "onboard",
     state: Annotated[
         Path | None,
         option(
-            "For parameters, logs and uploaded controllers; left out: drone-INDEX in the user's data folder.", "FOLDER"
+            "Folder for parameters, logs and uploaded controllers; default: drone-INDEX in the user's data folder.",
+            "FOLDER",
         ),
     ] = None,
     fresh: options.Fresh = False,
     key: options.KeyFile = None,
     json: Json = False,
 ) -> None:
-    """Fly a virtual drone: its rig, and the flight controller's program, which clients reach over MAVLink.
+    """Run a virtual drone: the simulated rig, and the flight controller's program, reached over MAVLink.
 
-    It prints a line `listening on URL` for each link once clients may come (with --json one line of JSON). Ctrl-C or
+    It prints a line `listening on URL` for each link once clients can connect (with --json one line of JSON). Ctrl-C or
     SIGTERM ends it: motors off, log closed, exit status 0.
     """
     folder = data_folder() / f"drone-{index}" if state is None else state

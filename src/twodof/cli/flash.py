@@ -35,14 +35,14 @@ def flash(
         ),
     ],
     out: Annotated[Path | None, option("With px4-dir: the module's folder.", "DIR")] = None,
-    px4: Annotated[Path | None, option("With px4-dir: the PX4 that it is to fit.", "DIR")] = None,
+    px4: Annotated[Path | None, option("With px4-dir: the PX4 checkout to check the module against.", "DIR")] = None,
     precision: Annotated[str, option("float32 as flight controllers compute, or float64.")] = "float32",
-    key: Annotated[Path | None, option("With a drone: the key that signs everything.", "FILE")] = None,
-    dry_run: Annotated[bool, flag("Say everything and change nothing.", "--dry-run")] = False,
-    force_unstable: Annotated[bool, flag("Flash it although it is unstable on the virtual rig.", FORCE)] = False,
+    key: Annotated[Path | None, option("With a drone: the key that signs all messages.", "FILE")] = None,
+    dry_run: Annotated[bool, flag("Print everything, change nothing.", "--dry-run")] = False,
+    force_unstable: Annotated[bool, flag("Flash even if it is unstable on the virtual rig.", FORCE)] = False,
     json: Json = False,
 ) -> None:
-    """Check and compile a controller, print its sizes and its changes against the active one, and let it fly.
+    """Check and compile a controller, compare it with the active one, and make it the active one.
 
     The diagram has the ports of a template: attitude_control, position_control or motor_control. In the simulator it
     flies only with `twodof simulate --controller flashed`. A controller that was flashed for another template stays.
@@ -131,7 +131,7 @@ def _change_lines(changes: Difference, origin: str) -> Iterator[str]:
         yield f"  and {len(rows) - _LINES} more, which --json lists"
 
 
-px4 = group("Make a module for PX4 of a diagram, and see whether a PX4 fits it.")
+px4 = group("Export a diagram as a module for PX4, and check it against a PX4 checkout.")
 
 
 @px4.command()
@@ -139,14 +139,12 @@ def export(
     diagram: Annotated[str, argument(DIAGRAM_HELP)],
     out_dir: Annotated[Path, argument("The folder to write: a new one, an empty one or an earlier export.")],
     log: Annotated[
-        list[str] | None, option("Log also this signal: its path, part.port. May be repeated.", None, "--log")
+        list[str] | None, option("Log this signal too: its path, part.port; repeatable.", None, "--log")
     ] = None,
     prefix: Annotated[
-        str, option("How the parameters' names begin: 1 to 5 capitals or digits. By default the name decides.")
+        str, option("Prefix of the parameters' names: 1 to 5 capitals or digits; default: from the diagram's name.")
     ] = "",
-    force: Annotated[
-        bool, flag("Replace an earlier export even if its files were changed or added to.", "--force")
-    ] = False,
+    force: Annotated[bool, flag("Replace an earlier export even if its files were changed.", "--force")] = False,
     json: Json = False,
 ) -> None:
     """Write a diagram as an external module for PX4 v1.14 to v1.17: C, work item, parameters, message, airframe.
@@ -185,7 +183,7 @@ def check(
     out_dir: Annotated[Path, argument("A folder that `twodof px4 export` wrote.")],
     json: Json = False,
 ) -> None:
-    """Compare an exported module with a checkout of PX4: its version, and what its build does not show.
+    """Compare an exported module with a checkout of PX4: its version, and faults that its build does not show.
 
     Nothing is written. Exit status 0: it fits, perhaps with warnings; 1: it does not.
     """

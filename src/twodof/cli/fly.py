@@ -28,19 +28,22 @@ from twodof.gcs.drone import Drone
 
 def fly(
     experiment: Annotated[str, argument(f"One of {', '.join(EXPERIMENTS)}.")],
-    url: Annotated[str | None, option(f"Where the drone is, as `twodof up` says [{DEFAULT_URL}].")] = None,
+    url: Annotated[str | None, option(f"The drone's address, as `twodof up` prints it [{DEFAULT_URL}].")] = None,
     rig: Annotated[
-        str | None, option("lab, paper, or a JSON file: fly a virtual drone of our own on this rig.")
+        str | None, option("lab, paper, or a JSON file: start a virtual drone on this rig and fly it.")
     ] = None,
     controller: Annotated[
-        list[str] | None, option("With --rig: fly this controller, in a sandbox; may be repeated.", "DIAGRAM")
+        list[str] | None, option("With --rig: fly this controller, in a sandbox; repeatable.", "DIAGRAM")
     ] = None,
     drone: SystemOfDrone = None,
     key: KeyOfDrone = None,
     seed: Annotated[int, option("Seed of a virtual drone's noise.", min=0, max=2**32 - 1)] = 1,
-    start: Annotated[float | None, option("Where the cart starts, in metres; left out: where it fits.", "X")] = None,
+    start: Annotated[
+        float | None,
+        option("Start position of the cart [m]; default: chosen so that the flight fits on the rail.", "X"),
+    ] = None,
     withhold_tuning: Annotated[
-        bool, flag("Let no other program change parameters meanwhile.", "--withhold-tuning")
+        bool, flag("Do not let other programs change parameters during the flight.", "--withhold-tuning")
     ] = False,
     out: Out = None,
     plot: Plot = None,
@@ -49,9 +52,9 @@ def fly(
 ) -> None:
     """Arm, hold, excite on board, disarm, and check that the data are good enough.
 
-    A virtual drone is put to its start first. If something goes wrong, the flight is broken off: the drone is levelled
-    and disarmed, and the log holds what was flown. Ctrl-C breaks it off too, but disarms at once, with exit status 130.
-    Exit status 1: it was broken off, or its data are not good.
+    A virtual drone is reset to its start first. If something goes wrong, the flight ends early: the drone is levelled
+    and disarmed, and the log keeps the flight up to there. Ctrl-C disarms at once, with exit status 130. Exit status 1:
+    the flight ended early, or its data are not good enough.
     """
     asked = named_experiment(experiment)
     if url is not None and rig is not None:

@@ -56,11 +56,11 @@ def identify(
         str | None,
         option(
             "What the log holds (attitude: the pitch in closed loop), or the name that it was flown under; "
-            "left out: what the log says or looks like.",
+            "by default found in the log.",
             "|".join(KINDS),
         ),
     ] = None,
-    method: Annotated[FitMethod, option("Output error, or by hand as the paper does.")] = "grey-box",
+    method: Annotated[FitMethod, option("grey-box: output error; simple: by hand, as in the paper.")] = "grey-box",
     model: Annotated[
         str,
         option(
@@ -69,57 +69,63 @@ def identify(
         ),
     ] = AUTO,
     window: Annotated[
-        tuple[float, float] | None, option("Stretch of the log, in seconds; default: found.", "T0 T1")
+        tuple[float, float] | None, option("Part of the log to use [s]; default: found in the log.", "T0 T1")
     ] = None,
     estimate: Annotated[list[str] | None, option("Unknown to estimate; repeat for several.")] = None,
     value: Annotated[list[str] | None, option("First guess, or fixed value; repeatable.", "NAME=NUMBER")] = None,
     prior: Annotated[
         list[str] | None,
         option(
-            "What is known of an unknown: mean and standard deviation; inf: nothing. Repeatable.", "NAME=MEAN,SIGMA"
+            "Prior of an unknown: mean and standard deviation; inf for no knowledge. Repeatable.", "NAME=MEAN,SIGMA"
         ),
     ] = None,
     validate: Annotated[list[Path] | None, option("Log to validate on; repeatable.", "LOG")] = None,
     impulse: Annotated[
-        Path | None, option("Of a doublet: the impulse's log, from which the poles come; by hand it is needed.", "LOG")
+        Path | None,
+        option("For a doublet: the impulse's log, which gives the poles; needed with --method simple.", "LOG"),
     ] = None,
     structure: Annotated[
         str | None,
         option("Your own structure: a Structure or Diagram in Python, or a diagram.", "FILE.py:NAME|FILE.json"),
     ] = None,
     input: Annotated[
-        list[str] | None, option("Which column is that input of the structure; repeatable.", "NAME=COLUMN")
+        list[str] | None, option("Column for this input of the structure; repeatable.", "NAME=COLUMN")
     ] = None,
     output: Annotated[
-        list[str] | None, option("Which column is that output of the structure; repeatable.", "NAME=COLUMN")
+        list[str] | None, option("Column for this output of the structure; repeatable.", "NAME=COLUMN")
     ] = None,
-    time: Annotated[str | None, option("Which column of a table (CSV, Parquet, .mat) is the time.", "COLUMN")] = None,
+    time: Annotated[str | None, option("Time column of a table (CSV, Parquet, .mat).", "COLUMN")] = None,
     period: Annotated[
         str | None,
-        option("Of a table without time stamps: the time from row to row, or what names it there.", "SECONDS|NAME"),
+        option(
+            "For a table without time stamps: its sample time, or the name of the entry that holds it.", "SECONDS|NAME"
+        ),
     ] = None,
     hold: Annotated[
-        list[str] | None, option("How that input behaves between samples; repeatable.", f"NAME={'|'.join(HOLDS)}")
+        list[str] | None, option("Behaviour of this input between samples; repeatable.", f"NAME={'|'.join(HOLDS)}")
     ] = None,
-    detrend: Annotated[bool, flag("Take the mean of each column away.", "--detrend")] = False,
-    resample: Annotated[float | None, option("Longer time from step to step, behind a filter.", "SECONDS")] = None,
-    merge: Annotated[bool, flag("Several logs: one model for all, not one for each.", "--merge")] = False,
+    detrend: Annotated[bool, flag("Subtract the mean of each column.", "--detrend")] = False,
+    resample: Annotated[
+        float | None, option("Resample to this longer step, after a low-pass filter.", "SECONDS")
+    ] = None,
+    merge: Annotated[bool, flag("With several logs: fit one model to all, not one to each.", "--merge")] = False,
     compare: Annotated[
         list[str] | None,
-        option("A further model of the columns, to be judged beside on --validate, or else on LOG.", "MODEL"),
+        option("Another model of the columns, to compare on --validate or else on LOG.", "MODEL"),
     ] = None,
     plot: Annotated[
         Path | None, option(f"Draw data, model, residuals, Bode and uncertainty ({', '.join(SUFFIXES)}).", "FILE")
     ] = None,
     reference: Annotated[
-        str | None, option("Of a plot in closed loop: the set-point that excited it (theta0), for the Bode.", "COLUMN")
+        str | None,
+        option("For a plot in closed loop: the set-point that excited it (theta0), for the Bode plot.", "COLUMN"),
     ] = None,
-    out: Annotated[Path | None, option("Write the model there as JSON, for `twodof design`.", "FILE")] = None,
+    out: Annotated[Path | None, option("Write the model to this file as JSON, for `twodof design`.", "FILE")] = None,
     disturbance: Annotated[
         Disturbance,
         option(
             "White: output error; ar: coloured noise; input: gusts; walk: pushes at the states; innovation: predictor; "
-            "auto: what the data ask."
+            "auto: chosen from the data."
         ),
     ] = "auto",
     json: Json = False,
@@ -127,8 +133,8 @@ def identify(
 ) -> None:
     """Identify the paper's models from a log, or your own from any table, with standard deviations and residual tests.
 
-    What a doublet's log does not show is held with --impulse LOG: the poles, found from the free response. One flight
-    knows nothing of what differs from flight to flight: give several logs and believe their spread.
+    A doublet's log does not show the poles: --impulse LOG takes them from a free response. One flight cannot show how
+    much the parameters differ from flight to flight: give several logs and trust their spread.
 
     Your own: --structure model.py:motor --input u=voltage --output y=speed --time t (or --period 0.02).
     Without a structure: --model bj:2,1,1,2,1 --input u=voltage --output y=speed --time t --compare arx:2,2,1.

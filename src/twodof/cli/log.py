@@ -23,7 +23,7 @@ from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_band
 from twodof.report.step_responses import SETTLED, FlownStep
 from twodof.signals import BY_MAT
 
-log = group("Look into flight logs and convert them.")
+log = group("Inspect, draw, convert, recover and download flight logs.")
 # More rows than this say nothing more to a reader; --json has all.
 _ROWS = 20
 
@@ -33,7 +33,7 @@ def info(
     file: Annotated[Path, argument("A .mat, .mcap, .parquet, .csv or .ulg log.")],
     json: Json = False,
 ) -> None:
-    """List a log's channels and rates, gaps, events, likely experiment, failsafe actions and the drone's words."""
+    """List a log's channels and rates, gaps, events, likely experiment, failsafe actions and the drone's messages."""
     log = read_log(file)
     found = describe(log)
     found["failsafe"] = [asdict(band) for band in failsafe_bands(log)]
@@ -106,18 +106,16 @@ def plot(
     files: Annotated[list[Path], argument("A .mat, .mcap, .parquet, .csv or .ulg log, or several.", "FILE...")],
     out: Annotated[
         Path | None,
-        option(f"What to draw ({', '.join(SUFFIXES)}); left out: FILE with .png, or -compared.png for several."),
+        option(f"File to write ({', '.join(SUFFIXES)}); default: FILE with .png, or -compared.png for several."),
     ] = None,
     topics: Annotated[
-        list[str] | None, option("Draw these signals only, such as theta,q,imu.gyro; may be repeated.", "NAME,...")
+        list[str] | None, option("Draw only these signals, such as theta,q,imu.gyro; repeatable.", "NAME,...")
     ] = None,
     window: Annotated[
         tuple[float, float] | None,
-        option("Draw this stretch only, in seconds of the log; of several, from where they align.", "T0 T1"),
+        option("Draw only this part [s], in the log's time; with several, from where they align.", "T0 T1"),
     ] = None,
-    align: Annotated[
-        Align, option("Where several flights are laid over each other: at their first steps or starts.")
-    ] = Align.step,
+    align: Annotated[Align, option("Align several flights at their first steps or at their starts.")] = Align.step,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -185,15 +183,15 @@ def convert(
     source: Annotated[Path, argument("The log to read.")],
     target: Annotated[Path, argument("The file to write; its suffix says the format.")],
     wide: Annotated[
-        bool, flag("A table (.csv, .parquet) with a row a time stamp and a column a signal.", "--wide")
+        bool, flag("Write a table (.csv, .parquet) with one row per time stamp and one column per signal.", "--wide")
     ] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a log in another format (.mat, .mcap, .parquet, .csv, .ulg); the target is there whole or not at all.
+    """Write a log in another format (.mat, .mcap, .parquet, .csv, .ulg).
 
-    A .ulg, for PX4's tools, holds the drone's own signals, and the parameters that were not at their defaults. What
-    else the log has is left out, and named.
+    A .ulg, for PX4's tools, holds the drone's own signals, and the parameters that were not at their defaults. All
+    other contents of the log are left out, and listed.
     """
     log = convert_log(source, target, wide, force)
     left_out = [name for name in log.channels if name not in BY_MAT] if target.suffix.lower() == ".ulg" else []
@@ -206,9 +204,7 @@ def convert(
 @log.command()
 def recover(
     file: Annotated[Path, argument("An .mcap recording or .ulg log that was cut off or damaged.")],
-    out: Annotated[
-        Path | None, argument("The .mcap file to write; FILE with .recovered.mcap if it is left out.")
-    ] = None,
+    out: Annotated[Path | None, argument("The .mcap file to write; default: FILE with .recovered.mcap.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -241,11 +237,11 @@ def fetch(
     names: Annotated[list[str] | None, argument("Names of public logs; all of them if none is named.")] = None,
     deadline: Annotated[float, option("Seconds to wait for each download.", min=1.0)] = 60.0,
     foreign: Annotated[
-        bool, flag("Instead of all of them: files of other programs' tests, which `make thorough` reads.", "--foreign")
+        bool, flag("Fetch instead the test files of other programs, which `make thorough` reads.", "--foreign")
     ] = False,
     json: Json = False,
 ) -> None:
-    """Find the public logs of the real drone, downloading those that are not at hand; checksums are verified."""
+    """Download the public logs of the real drone that are missing here, and verify their checksums."""
     found = {}
     for name in names or (FOREIGN_FILES if foreign else PUBLIC_LOGS):
         found[name] = find(name, deadline)

@@ -36,13 +36,11 @@ Plant = Annotated[
 Controller = Annotated[
     str, argument('From error to plant: a diagram, or a transfer function as "3 + 1 / s".', "CONTROLLER")
 ]
-Period = Annotated[
-    float | None, option("Sample time of a z, a diagram, or of a loop that is to be sampled.", "SECONDS")
-]
-Input = Annotated[str | None, option("Of a plant with several: the input that the controller moves.", "NAME")]
-Output = Annotated[str | None, option("Of a plant with several: the output that the controller reads.", "NAME")]
+Period = Annotated[float | None, option("Sample time: of z, of a diagram, or of a loop to be sampled.", "SECONDS")]
+Input = Annotated[str | None, option("For a plant with several inputs: the one that the controller drives.", "NAME")]
+Output = Annotated[str | None, option("For a plant with several outputs: the one that the controller reads.", "NAME")]
 Measured = Annotated[
-    str | None, option("Of a controller's diagram with several inputs: the measured one, whose sign is turned.", "NAME")
+    str | None, option("For a controller with several inputs: the measured one, whose sign is inverted.", "NAME")
 ]
 
 
@@ -90,18 +88,20 @@ def _command(picture: str, about: str, drawn: str = "it there") -> Callable[...,
 
 margins = _command(
     "all",
-    """Say what may change before a loop of your own becomes unstable, at any sample time.
+    """Compute the stability margins of a loop of your own, at any sample time.
 
-    A continuous plant is held over the steps of a sampled controller, exactly. A continuous controller of a sampled
-    loop is taken by Tustin's rule. The drone's cascade: `twodof diagram margins`.
+    A continuous plant with a sampled controller is discretised exactly, by zero-order hold. A continuous controller in
+    a sampled loop is discretised by Tustin's rule. The drone's cascade: `twodof diagram margins`.
 
     Exit status 1: the loop is unstable.
     """,
     "Bode, Nyquist, Nichols, sensitivities, step and root locus",
 )
-bode = _command("bode", "Draw the Bode plot of a loop with its margins marked; arguments as of `twodof margins`.")
+bode = _command("bode", "Draw the Bode plot of a loop with its margins marked; arguments as for `twodof margins`.")
 rlocus = _command("rlocus", "Draw the root locus of a loop: the closed loop's poles for .02 to 20 times the gain.")
-step = _command("step", "Give rise time, overshoot and settling time of the closed loop, and draw its step response.")
+step = _command(
+    "step", "Compute rise time, overshoot and settling time of the closed loop, and draw its step response."
+)
 
 
 def _figures(found: LoopMargins) -> StepFigures:
@@ -145,9 +145,7 @@ def _system(
 
 
 def cascade_loops(
-    diagrams: Annotated[
-        list[str] | None, argument(f"Left out: the stock cascade. {DIAGRAM_HELP}", "DIAGRAM...")
-    ] = None,
+    diagrams: Annotated[list[str] | None, argument(f"Default: the stock cascade. {DIAGRAM_HELP}", "DIAGRAM...")] = None,
     rig: Annotated[str, option("lab, paper, a rig's JSON file, or a model's from `identify --json`.", "RIG")] = "lab",
     gains: StockGains = "default",
     loop: Annotated[list[str] | None, option(f"Only this loop; repeatable. {', '.join(LOOPS)}.", "NAME")] = None,
@@ -162,10 +160,10 @@ def cascade_loops(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Say the margins of each loop of the cascade, with the controllers and the rig as they fly.
+    """Compute the margins of each loop of the cascade, with the controllers and the rig as they fly.
 
-    The loop is sampled, with all its delays. Each loop is broken at its place, those inside it are closed. A controller
-    of the template attitude_control, position_control or motor_control takes the place of the stock one.
+    The loop is sampled, with all its delays. Each loop is opened at its own signal, with the loops inside it closed. A
+    controller of the template attitude_control, position_control or motor_control takes the place of the stock one.
 
     Exit status 1: a loop is unstable.
     """

@@ -38,31 +38,35 @@ RealType = Literal["float64", "float32"]
 _SYSTEMS = 199
 """A client may be system 200 and above."""
 
-Force = Annotated[bool, flag("Replace a file that is there.", "--force")]
-Json = Annotated[bool, flag("Print one JSON document and nothing else on stdout.", "--json")]
+Force = Annotated[bool, flag("Replace an existing file.", "--force")]
+Json = Annotated[bool, flag("Print one JSON document and nothing else to standard output.", "--json")]
 Index = Annotated[int, option("Number of the drone: system is index + 1.", min=0, max=_SYSTEMS - 1)]
 Rig = Annotated[str, option("lab, paper, or a JSON file of rig parameters.")]
-Lockstep = Annotated[bool, flag("Time stands still until a client grants it; faster than real time.", "--lockstep")]
+Lockstep = Annotated[bool, flag("Let a client advance the time step by step, faster than real time.", "--lockstep")]
 Seed = Annotated[int, option("Seed of the noise.", min=0, max=SEEDS - 1)]
-Noise = Annotated[float, option("Gain of all noise; 0: none.", min=0.0, max=100.0)]
-Charge = Annotated[float, option("State of charge of the battery at the start; thrust sags with it.", min=0.0, max=1.0)]
-Rings = Annotated[bool, flag("The rings lock the cart: pitch only.", "--rings/--free")]
-SafetySwitch = Annotated[
-    bool, flag("Whether it was pressed, so that motors may turn.", "--safety-switch/--no-safety-switch")
+Noise = Annotated[float, option("Factor on all noise; 0 for none.", min=0.0, max=100.0)]
+Charge = Annotated[
+    float, option("State of charge of the battery at the start; a lower charge gives less thrust.", min=0.0, max=1.0)
 ]
-Trust = Annotated[bool, flag("Compile those controllers into the flight code: no sandbox.", "--trust")]
+Rings = Annotated[bool, flag("Lock the cart, so that only the pitch moves, or leave it free.", "--rings/--free")]
+SafetySwitch = Annotated[
+    bool, flag("Start with the safety switch pressed (motors may turn) or not.", "--safety-switch/--no-safety-switch")
+]
+Trust = Annotated[bool, flag("Compile these controllers into the flight code, without a sandbox.", "--trust")]
 Precision = Annotated[str, option("float64, or float32 as a flight controller computes.")]
-Fresh = Annotated[bool, flag("Begin with the default parameters, and without controllers that were sent.", "--fresh")]
-KeyFile = Annotated[Path | None, option("Sign everything with this key and take in nothing unsigned.", "FILE")]
-StockGains = Annotated[str, option("Of the stock loops: default, student, or a JSON file of gains.")]
-Members = Annotated[int, option("How many members of the family are flown.")]
+Fresh = Annotated[bool, flag("Start with default parameters and without controllers from earlier flashes.", "--fresh")]
+KeyFile = Annotated[Path | None, option("Sign all messages with this key and ignore unsigned ones.", "FILE")]
+StockGains = Annotated[str, option("Gains of the stock loops: default, student, or a JSON file.")]
+Members = Annotated[int, option("Number of sampled drones to fly.")]
 Reals = Annotated[RealType, option("The type of a real.")]
-PromiseFile = Annotated[Path | None, option("Write what is promised there, as JSON.", "FILE", "--promise")]
+PromiseFile = Annotated[
+    Path | None, option("Write the promise (the prediction) to this file, as JSON.", "FILE", "--promise")
+]
 PromisePlot = Annotated[Path | None, option("Draw the promise (.png, .svg, .pdf, .html).", "FILE")]
 PageHost = Annotated[
-    str, option("Address to serve the page at; one that others reach needs the token in the link.", None, "--host")
+    str, option("Address of the page. If other computers reach it, the link's token is needed.", None, "--host")
 ]
-PageToken = Annotated[bool, flag("Let nobody in without the link, other users of this computer too.", "--token")]
+PageToken = Annotated[bool, flag("Require the link's token from users of this computer too.", "--token")]
 OpenPage = Annotated[bool, flag("Open the page in the browser.", "--open")]
 
 

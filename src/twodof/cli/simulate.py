@@ -38,15 +38,16 @@ def simulate(
     rig: Rig = "lab",
     gains: Annotated[
         str | None,
-        option("default, student, or a JSON file of gains; left out: default, with --like and a public log its own."),
+        option("default, student, or a JSON file of gains; by default: default, or with --like a public log's own."),
     ] = None,
     window: Annotated[
-        tuple[float, float] | None, option("With --like: stretch of the log, in seconds; left out: found.", "T0 T1")
+        tuple[float, float] | None,
+        option("With --like: part of the log to fly [s]; default: found in the log.", "T0 T1"),
     ] = None,
     controller: Annotated[
         list[str] | None,
         option(
-            f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP} "
+            f"Fly this controller in place of the stock one of its template; repeatable. {DIAGRAM_HELP} "
             "Or flashed: those that `twodof flash --to sim` put in place.",
             "DIAGRAM",
         ),
@@ -59,8 +60,8 @@ def simulate(
     charge: Annotated[
         str,
         option(
-            "State of charge of the battery at the start; thrust sags with it. With --like also: estimate, from "
-            "the flight itself.",
+            "State of charge of the battery at the start; a lower charge gives less thrust. With --like also: "
+            "estimate, from the flight itself.",
             "0..1",
         ),
     ] = "1",
@@ -225,9 +226,9 @@ def replay(
     file: Annotated[Path, argument("A closed-loop flight log.", "LOG")],
     gains: Annotated[
         str | None,
-        option("default, student, or a JSON file of gains; left out: those of the log if it says, else default."),
+        option("default, student, or a JSON file of gains; by default those named in the log, else default."),
     ] = None,
-    precision: Annotated[RealType, option("Reals of the compiled code.")] = "float64",
+    precision: Annotated[RealType, option("Type of the reals in the compiled code.")] = "float64",
     json: Json = False,
 ) -> None:
     """Feed a log's inputs to the compiled flight code, and compare its outputs with the logged ones."""
@@ -254,9 +255,13 @@ def replay(
 
 
 def calibrate(
-    data: Annotated[Path | None, option("Folder of the logs; default: found.", "FOLDER")] = None,
+    data: Annotated[Path | None, option("Folder of the logs; default: searched for.", "FOLDER")] = None,
     leave_one_out: Annotated[
-        bool, flag("Also predict each flight from all others, and say what gusts leave of it.", "--leave-one-out")
+        bool,
+        flag(
+            "Also predict each flight from all others, and report how much gusts explain of the error.",
+            "--leave-one-out",
+        ),
     ] = False,
     out: Annotated[Path | None, option("Write the rig as JSON, for `--rig FILE`.")] = None,
     force: Force = False,

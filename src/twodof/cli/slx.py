@@ -23,7 +23,7 @@ from twodof.slx.matlab.script import read_workspace
 from twodof.slx.model import read_model
 from twodof.slx.picture import sheet_name, sheet_svg
 
-slx = group("See what is in a Simulink file (.slx, .mdl), draw it, compare two, and import one; no MATLAB needed.")
+slx = group("Inspect, draw, compare and import Simulink files (.slx, .mdl); no MATLAB needed.")
 
 ModelFile = Annotated[Path, argument("A model, library or subsystem file: .slx or .mdl of any release.", "MODEL")]
 
@@ -31,12 +31,10 @@ ModelFile = Annotated[Path, argument("A model, library or subsystem file: .slx o
 @slx.command()
 def inspect(
     model: ModelFile,
-    path: Annotated[
-        list[Path] | None, option("Look for libraries in this folder too; may be repeated.", "FOLDER")
-    ] = None,
+    path: Annotated[list[Path] | None, option("Look for libraries in this folder too; repeatable.", "FOLDER")] = None,
     json: Json = False,
 ) -> None:
-    """Say what a model holds: release, solver, sample times, blocks, libraries, code, and the names that it needs."""
+    """List a model's contents: release, solver, sample times, blocks, libraries, code, variables that it needs."""
     found = inspect_model(read_model(model), [model.parent, *(path or [])])
     document = {
         **{key: getattr(found.model, key) for key in ("name", "kind", "release", "version", "solver", "callbacks")},
@@ -55,16 +53,14 @@ def import_(
     out: Annotated[Path | None, option("Write the diagram there, as JSON.", "FILE")] = None,
     subsystem: Subsystem = "",
     workspace: Annotated[
-        list[Path] | None, option("A script (.m) or .mat with the names that the model takes; may be repeated.", "FILE")
+        list[Path] | None, option("Script (.m) or .mat file with the model's variables; repeatable.", "FILE")
     ] = None,
-    path: Annotated[
-        list[Path] | None, option("Look for libraries in this folder too; may be repeated.", "FOLDER")
-    ] = None,
-    dt: Annotated[float | None, option("The period, where no block says it.", "SECONDS")] = None,
+    path: Annotated[list[Path] | None, option("Look for libraries in this folder too; repeatable.", "FOLDER")] = None,
+    dt: Annotated[float | None, option("Sample time, if no block gives it.", "SECONDS")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Translate a model, or a subsystem of it, to a diagram; say what became of each block.
+    """Translate a model, or one of its subsystems, to a diagram; report on each block.
 
     Exit status 1 if a block is refused: then nothing is written.
     """
@@ -146,11 +142,11 @@ def _library(library: Library) -> str:
 @slx.command()
 def draw(
     model: ModelFile,
-    out: Annotated[Path, option("Folder for the pictures, or an .svg for one of them.", "PATH")],
+    out: Annotated[Path, option("Folder for the pictures, or an .svg file for one picture.", "PATH")],
     subsystem: Subsystem = "",
     force: Force = False,
 ) -> None:
-    """Draw a model as SVG, a picture for each subsystem, linked like pages."""
+    """Draw a model as SVG: one linked picture for each subsystem."""
     read = read_model(model)
     if out.suffix == ".svg":
         pictures = {out: subsystem}
@@ -171,11 +167,11 @@ def diff(
     before: Annotated[Path, argument("The model before.", "BEFORE")],
     after: Annotated[Path, argument("The model after.", "AFTER")],
     json: Json = False,
-    quiet: Annotated[bool, flag("Say nothing; only the exit status.", "--quiet")] = False,
+    quiet: Annotated[bool, flag("Print nothing; only set the exit status.", "--quiet")] = False,
 ) -> None:
     """List what differs between two models: blocks, parameters, wires, code.
 
-    Exit status 0 if nothing but looks (places, colours) differs, else 1.
+    Exit status 0 if only the layout (positions, colours) differs, else 1.
     """
     found = difference(read_model(before), read_model(after))
     if json or not quiet:

@@ -40,48 +40,52 @@ NOTHING_KNOWN: Mapping[int, ControllerReport] = MappingProxyType({})
 
 
 def up(
-    drones: Annotated[int, option("How many.", min=1, max=MOST_DRONES)] = 1,
+    drones: Annotated[int, option("Number of drones.", min=1, max=MOST_DRONES)] = 1,
     first: Annotated[
-        int, option("Number of the first: its MAVLink system, and its ports.", min=1, max=MOST_DRONES)
+        int,
+        option("Number of the first drone, which gives its MAVLink system id and its ports.", min=1, max=MOST_DRONES),
     ] = 1,
     rig: options.Rig = "lab",
     rings: options.Rings = False,
     controller: Annotated[
-        list[str] | None, option("Fly this controller, in a sandbox; may be repeated. See `twodof fcu`.", "DIAGRAM")
+        list[str] | None, option("Fly this controller, in a sandbox; repeatable. See `twodof fcu`.", "DIAGRAM")
     ] = None,
     trust: options.Trust = False,
     lockstep: options.Lockstep = False,
     seed: Annotated[
-        int, option("Seed of the first one's noise; each further one has the next.", min=0, max=SEEDS - 1)
+        int, option("Seed of the first drone's noise; each further drone takes the next number.", min=0, max=SEEDS - 1)
     ] = 1,
     noise: options.Noise = 1.0,
     charge: options.Charge = 1.0,
     precision: options.Precision = "float64",
     safety_switch: options.SafetySwitch = True,
     state: Annotated[
-        Path | None, option("For a folder drone-INDEX each; left out: the user's data folder.", "FOLDER")
+        Path | None, option("Folder for the drones' folders drone-INDEX; default: the user's data folder.", "FOLDER")
     ] = None,
     fresh: options.Fresh = False,
     key: options.KeyFile = None,
     page: Annotated[bool, flag("Serve the page in the browser; never with --lockstep.", "--page/--no-page")] = True,
-    page_port: Annotated[
-        int, option("TCP port of the page; a free one where somebody has it.", min=0, max=65535)
-    ] = PORT,
+    page_port: Annotated[int, option("TCP port of the page; if it is taken, a free one.", min=0, max=65535)] = PORT,
     groups: Annotated[
         int,
-        option("Share the drones among so many groups: a page for each, at the next ports.", min=1, max=MOST_DRONES),
+        option(
+            "Number of groups: each has its share of the drones and its own page, at the next ports.",
+            min=1,
+            max=MOST_DRONES,
+        ),
     ] = 1,
     host: options.PageHost = LOOPBACK,
     token: options.PageToken = False,
     open_page: options.OpenPage = False,
     json: Json = False,
 ) -> None:
-    """Start virtual drones, each with its flight controller and companion; say where to connect; run until Ctrl-C.
+    """Start virtual drones, each with a flight controller and a companion computer, and run until Ctrl-C.
 
-    With them it serves the page in which they are flown. Only this computer reaches it, unless --host says otherwise:
-    then only who has the link. The drones' own ports are those of this computer only. A program that ends is started
-    again up to three times a minute, and its drone then stands disarmed at its start. After that all end but the page.
-    With --json one line of JSON says where they are, once all answer. Exit status: 0 ended by Ctrl-C or SIGTERM, 130 by
+    It prints the addresses of the drones and the link of the browser page, which it also serves. By default only this
+    computer can reach the page. With --host other computers can, but only by the link. The drones' own ports are open
+    to this computer only. A program that ends is started again up to three times a minute; its drone is then disarmed
+    and back at its start. After a fourth time in a minute all programs but the page end. With --json the addresses come
+    as one line of JSON, once all drones answer. Exit status: 0 ended by Ctrl-C or SIGTERM, 130 by
     that before all answered, 1 a program could not be kept running, 2 one did not start.
     """
     index = first - 1
@@ -224,23 +228,24 @@ def print_places(
 
 def lab(
     connect: Annotated[
-        list[str] | None, option("A drone; may be repeated. Left out: those of this computer, as they come.", "URL")
+        list[str] | None, option("Address of a drone; repeatable. Default: all drones of this computer.", "URL")
     ] = None,
     host: options.PageHost = LOOPBACK,
-    port: Annotated[int, option("TCP port; 0: a free one.", min=0, max=65535)] = PORT,
+    port: Annotated[int, option("TCP port; 0 for a free one.", min=0, max=65535)] = PORT,
     token: options.PageToken = False,
     key: options.KeyFile = None,
     logs: Annotated[
-        list[Path] | None, option("Show its logs too; may be repeated.", "FOLDER", exists=True, file_okay=False)
+        list[Path] | None,
+        option("Show the logs of this folder too; repeatable.", "FOLDER", exists=True, file_okay=False),
     ] = None,
     open_page: options.OpenPage = False,
     json: Json = False,
 ) -> None:
-    """Serve the page in which drones are flown, tuned and identified; print its link; run until Ctrl-C.
+    """Serve the browser page for drones that run already, print its link, and run until Ctrl-C.
 
-    Only this computer reaches it, unless --host says otherwise: then only who has the link. There are two, one to
-    command and one to watch; each start draws new ones. With --json one line of JSON says them. Exit status: 0 ended by
-    Ctrl-C or SIGTERM, 2 the port is taken or an option is wrong.
+    By default only this computer can reach it. With --host other computers can, but only by a link. There are two
+    links, one to command and one to watch; each start makes new ones. With --json they come as one line of JSON. Exit
+    status: 0 ended by Ctrl-C or SIGTERM, 2 the port is taken or an option is wrong.
     """
     if key is not None:
         read_key(key)

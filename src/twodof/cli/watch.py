@@ -145,21 +145,26 @@ class WatchedDrone:
 
 def watch(
     at: Annotated[
-        list[str] | None, argument("Where drones are, as `twodof up` says; none: those of this machine.", "URL")
+        list[str] | None,
+        argument("Addresses of drones, as `twodof up` prints them; default: all drones of this computer.", "URL"),
     ] = None,
     drone: SystemOfDrone = None,
     key: KeyOfDrone = None,
     every: Annotated[
         float | None,
-        option("Time between two tables (.2) or lines of a pipe or of --json (1) [s].", min=0.05, max=60.0),
+        option(
+            "Time between two tables (default .2), or two lines of a pipe or of --json (default 1) [s].",
+            min=0.05,
+            max=60.0,
+        ),
     ] = None,
     once: Annotated[bool, flag("Print the state of each drone and end.", "--once")] = False,
     json: Json = False,
 ) -> None:
-    """Show how drones fly in a table until Ctrl-C: state, mode, failsafe, theta, q, x, battery, last words.
+    """Show the drones in a table until Ctrl-C: state, mode, failsafe, theta, q, x, battery, last message.
 
-    It takes no lease and changes nothing; a drone that is lost is looked for again. Into a pipe it writes a line a
-    drone, with --json one JSON document a line. Exit status: 0 ended by Ctrl-C or by --once, 2 no drone was heard.
+    It takes no lease, changes nothing, and reconnects to a drone that was lost. In a pipe it writes one line per drone,
+    with --json one JSON document per line. Exit status: 0 ended by Ctrl-C or --once, 2 no drone answered.
     """
     if key is not None:
         read_key(key)
