@@ -250,7 +250,7 @@ def moved(column: int, steps: int) -> Callable[[Rows], Rows]:
     [
         (lambda rows: [row[:2] for row in rows], ",", "no column 'tacho'"),
         (cell(41, 2, "oops"), ",", "words, 'oops' in row 41"),
-        (cell(41, 2, "nan"), ",", "nan at sample 40"),
+        (cell(41, 2, "nan"), ",", ""),
         (cell(41, 2, ""), ",", ""),
         (cell(41, 1, "inf"), ",", "inf at sample 40"),
         (lambda rows: [*rows[:41], rows[40], *rows[41:]], ",", "repeated stamps"),

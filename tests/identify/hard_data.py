@@ -69,6 +69,7 @@ def spring(**guess: float) -> Structure:
 
 
 MOTOR = {"a": -2.0, "b": 3.0}
+PROCESS = {"K": 3.0, "Tw": 0.25, "zeta": 0.2}
 SPRING = {"k": 40.0, "d": 1.5, "g": 60.0}
 DT = 0.02
 
@@ -149,6 +150,25 @@ def smooth_input(hold: str = "zoh") -> Record:
     return record(fine[::inner], u[::inner], y[::inner] + 1e-3 * rng.standard_normal(steps), hold=hold)
 
 
+def _process(change: Callable[[Array, Array, Array], tuple[ArrayLike, ArrayLike, ArrayLike]]) -> Any:
+    """Return the fit of 3 / (s^2 / 16 + .1 s + 1) as a process model, after this change of its data."""
+    applied = switching(1500, 40)
+    u, x = simulated([[0, 1], [-16, -1.6]], [0, 16], applied, DT)
+    y = 3.0 * x + 0.05 * np.random.default_rng(11).standard_normal(u.size)
+    return lambda: fit("process:P2U", record(*change(DT * np.arange(u.size), u, y)))
+
+
+def _at_rest(t: Array, u: Array, y: Array) -> tuple[Array, Array, Array]:
+    return t, np.ones_like(u), 3.0 + 0.05 * np.random.default_rng(13).standard_normal(t.size)
+
+
+def _resonance_above_half_the_rate() -> Estimate:
+    u = switching(1500, 5)
+    _, x = simulated([[0, 1], [-1600, -4]], [0, 1600], np.repeat(u, 100), 1e-3)
+    y = x[::100] + 0.01 * np.random.default_rng(12).standard_normal(u.size)
+    return fit("process:P2U", record(0.1 * np.arange(u.size), u, y))
+
+
 @dataclass(frozen=True)
 class Case:
     """Set of data: the fit to try, the truth, and words of its refusal or note. Without words the fit must be right."""
@@ -162,8 +182,8 @@ def _columns(change: Callable[[Array, Array, Array], tuple[ArrayLike, ArrayLike,
     return lambda: fit(motor(), record(*change(*motor_data())), **options)
 
 
-def _spring(change: Callable[[Array, Array, Array], tuple[ArrayLike, ArrayLike, ArrayLike]], **options: Any) -> Any:
-    return lambda: fit(spring(), record(*change(*spring_data())), **options)
+def _spring(change: Callable[[Array, Array, Array], tuple[ArrayLike, ArrayLike, ArrayLike]], model: str = "") -> Any:
+    return lambda: fit(model or spring(), record(*change(*spring_data())))
 
 
 def _gap(t: Array, u: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -319,6 +339,13 @@ CASES: Mapping[str, Case] = {
         "band-limited",
     ),
     "output saturates": Case(_columns(lambda t, u, y: (t, u, np.clip(y, -0.5, 0.5))), MOTOR, "depends on|leaves"),
+    "a process drifts along a line": Case(_process(lambda t, u, y: (t, u, y + 0.5 * t + 20.0)), PROCESS, "drift"),
+    "output error in steps, drifting": Case(_spring(lambda t, u, y: (t, u, y + 0.5 * t), "oe:2,2,1"), {}, "drift"),
+    "a process at its limits": Case(_process(lambda t, u, y: (t, u, np.clip(y, -2.0, 2.0))), PROCESS, "limit"),
+    "a process at rest": Case(_process(_at_rest), PROCESS, "never moves"),
+    "a process of microseconds": Case(_process(lambda t, u, y: (1e-4 * t, u, y)), {**PROCESS, "Tw": 0.25e-4}),
+    "a process in its smallest units": Case(_process(lambda t, u, y: (t, 1e9 * u, 1e-9 * y)), {**PROCESS, "K": 3e-18}),
+    "a resonance above half the rate": Case(_resonance_above_half_the_rate, PROCESS, "depends on"),
     "spikes": Case(_spring(_spikes), SPRING),
     "a delay is left out": Case(_spring(lambda t, u, y: (t[5:], u[5:], y[:-5])), SPRING, "leaves out"),
     "damping below 0": Case(lambda: fit(pitch_rate(), pendulum(0.0, damping=-0.01)), {"w_n": 2.81}, "negative"),

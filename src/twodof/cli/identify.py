@@ -105,6 +105,9 @@ def identify(
         list[str] | None, option("Behaviour of this input between samples; repeatable.", f"NAME={'|'.join(HOLDS)}")
     ] = None,
     detrend: Annotated[bool, flag("Subtract the mean of each column.", "--detrend")] = False,
+    detrend_line: Annotated[
+        bool, flag("Subtract the straight line through each column, as of a sensor that drifts.", "--detrend-line")
+    ] = False,
     resample: Annotated[
         float | None, option("Resample to this longer step, after a low-pass filter.", "SECONDS")
     ] = None,
@@ -164,7 +167,9 @@ def identify(
     numbers = {name: one for name, (one,) in _numbers(value or [], "NAME=NUMBER").items()}
     before = {name: (mean, width) for name, (mean, width) in _numbers(prior or [], "NAME=MEAN,SIGMA").items()}
     clock = {name: column for name, column in (("time", time), ("period", period)) if column is not None}
-    prepared = _given(detrend=detrend, resample=resample is not None, merge=merge, compare=compare)
+    prepared = _given(
+        detrend=detrend, detrend_line=detrend_line, resample=resample is not None, merge=merge, compare=compare
+    )
     if structure is not None or input or output or clock or hold or prepared or is_named(model):
         both = structure is not None and model != AUTO
         idle = _given(experiment=experiment is not None, method=simple, impulse=impulse is not None, model=both)
@@ -182,7 +187,7 @@ def identify(
 
         def read(path: Path) -> Record:
             record = own_record(path, columns, input or (), output or (), clock, window, hold or ())
-            record = record.detrend() if detrend else record
+            record = record.detrend(linear=detrend_line) if detrend or detrend_line else record
             return record if resample is None else record.resample(resample)
 
         records, others = _distinctly_named([read(path) for path in files], files), [*map(read, validate or ())]
@@ -278,7 +283,7 @@ def _refuse(*mistakes: tuple[object, str, str, str]) -> None:
 
 def _given(**options: object) -> str:
     """Return the names of the options that were given."""
-    return " ".join(f"--{name}" for name, there in options.items() if there)
+    return " ".join(f"--{name.replace('_', '-')}" for name, there in options.items() if there)
 
 
 def _say(

@@ -35,6 +35,8 @@ They are imported when they are used: scipy.io and pyarrow take longer than all 
 """
 _WIDE = (".parquet", ".csv")
 _TABLES = (".mat", *_WIDE)
+_TEXTS = (".txt", ".tsv", ".dat")
+"""Tables as text, read as .csv is: the separator is looked for."""
 
 
 def read_log(path: str | Path, topics: bool = False) -> FlightLog:
@@ -47,7 +49,7 @@ def read_log(path: str | Path, topics: bool = False) -> FlightLog:
 
 
 def read_columns(path: str | Path, time: str = "", period: str | float = "") -> FlightLog:
-    """Read a .csv or .parquet table, or the vectors of a .mat file, whose time stamps [s] are in the column `time`.
+    """Read a table (.csv, .txt, .tsv, .dat, .parquet), or the vectors of a .mat file, with time stamps [s] in `time`.
 
     Data without time stamps have a `period` instead: seconds from row to row, or the name of a number in the file. The
     other columns become channels under their own names; the bracket of a heading such as `speed [m/s]` is the unit.
@@ -56,8 +58,10 @@ def read_columns(path: str | Path, time: str = "", period: str | float = "") -> 
     if bool(time) == bool(period):
         raise LogError("time stamps come from a column or from a period", str(path), "give one of --time and --period")
     suffix = Path(path).suffix.lower()
+    if suffix in _TEXTS:
+        suffix = ".csv"
     if suffix not in _TABLES:
-        raise LogError(f"no table has the suffix {suffix!r:.40}", str(path), f"use {', '.join(_TABLES)}")
+        raise LogError(f"no table has the suffix {suffix!r:.40}", str(path), f"use {', '.join((*_TABLES, *_TEXTS))}")
     return _read(path, suffix, time, str(period))
 
 

@@ -51,8 +51,10 @@ _NUMBER = re.compile(r"[-+]?[\d.,]*\d[-+\d.,:/TZeE ]*|nan|inf", re.IGNORECASE)
 _NO_NUMBER = re.compile(
     r"In CSV column #(?P<column>\d+): Row #(?P<row>\d+): .*conversion error to double: invalid value '(?P<cell>.*)'"
 )
-_MISSING = ("NA", "N/A", "#N/A", "null", "NULL", "None", "-")
+_MISSING = ("", "NA", "N/A", "#N/A", "null", "NULL", "None", "-")
 """Cells without a number, as other programs write them."""
+_NAN = ("nan", "NaN", "NAN")
+"""The same in a wide table of another program, as MATLAB's `writetable`: in ours and in long ones they are damage."""
 _PER_SECOND = {
     **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "milliseconds"), 1e3),
@@ -122,7 +124,7 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
     if meta is not None or _is_long(names):
         # As dictionaries: a name that is repeated is there once.
         texts = dict.fromkeys(COLUMNS[:2], pa.dictionary(pa.int32(), pa.string())) if _is_long(names) else {}
-        table = _parsed(data, start, names, separator, texts, where)
+        table = _parsed(data, start, names, separator, texts, where, _MISSING)
     else:
         stamps = [name for name in names if not period and _is_time(name, time)]
         table, words = _without_words(data, start, names, separator, stamps, where)
@@ -130,7 +132,13 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN, period: str = "
 
 
 def _parsed(
-    data: bytes, start: int, names: list[str], separator: str, types: Mapping[str, pa.DataType | None], where: str
+    data: bytes,
+    start: int,
+    names: list[str],
+    separator: str,
+    types: Mapping[str, pa.DataType | None],
+    where: str,
+    missing: Sequence[str],
 ) -> pa.Table:
     """Return the rows from byte `start` on: float64, except `types`, where None lets pyarrow find the type."""
     try:
@@ -140,7 +148,7 @@ def _parsed(
             pa_csv.ParseOptions(delimiter=separator),
             pa_csv.ConvertOptions(
                 column_types={n: kind for n in names if (kind := types.get(n, pa.float64())) is not None},
-                null_values=["", *_MISSING],
+                null_values=list(missing),
                 strings_can_be_null=False,
                 decimal_point="," if separator != "," and data.find(b",", start) >= 0 else ".",
             ),
@@ -162,7 +170,8 @@ def _without_words(
     words: dict[str, str] = {}
     while True:
         try:
-            table = _parsed(data, start, names, separator, types, where).drop_columns(list(words))
+            rows = _parsed(data, start, names, separator, types, where, (*_MISSING, *_NAN))
+            table = rows.drop_columns(list(words))
             return table, [f"{name} ({first})" for name, first in words.items()]
         except LogError as error:
             found = _NO_NUMBER.search(error.what)

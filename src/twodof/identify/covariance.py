@@ -23,13 +23,8 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
     units do not matter. An unknown has no effect if its change by its whole
     `scale` moves the outputs less than 1e-9 times as much as that of the most effective one.
     """
-    effect = np.linalg.norm(jacobian, axis=0) * scale
-    if not np.isfinite(effect).all():
-        raise IdentificationError(
-            "the model's sensitivities are not finite: close to the estimate it is unstable, or far faster than a step",
-            where,
-            "choose another first guess, or a structure with fewer states",
-        )
+    length, s, vt = _unit_svd(jacobian, where)
+    effect = length * scale
     mute = [label for label, e in zip(labels, effect, strict=True) if e <= 1e-9 * effect.max()]
     if mute:
         raise IdentificationError(
@@ -37,7 +32,6 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
             where,
             "fix it (leave it out of `estimate`), or excite what it acts on",
         )
-    _, s, vt = _unit_svd(jacobian)
     if jacobian.shape[0] < jacobian.shape[1] or s[-1] < RANK_TOLERANCE * s[0]:
         involved = np.abs(vt[s < RANK_TOLERANCE * s[0]]).max(axis=0, initial=0.0)
         names = [label for label, share in zip(labels, involved, strict=True) if share > 0.05]
@@ -65,7 +59,7 @@ def uncertain_unknowns(jacobian: Array, scale: Array, free: NDArray[np.int64]) -
 def covariance(jacobian: Array) -> Array:
     """(J' J)^-1 for rows that were divided by their noise's standard deviation: the Cramer-Rao bound if it is white."""
     length, s, vt = _unit_svd(jacobian)
-    half = vt.T / s / length[:, None]
+    half = vt.T / s / np.where(length > 0.0, length, 1.0)[:, None]
     return np.asarray(half @ half.T)
 
 
@@ -137,14 +131,21 @@ def _smoothed(residual: Array) -> Array:
     return np.concatenate([mean, mean])
 
 
-def _unit_svd(jacobian: Array) -> tuple[Array, Array, Array]:
+def _unit_svd(jacobian: Array, where: str = "the search") -> tuple[Array, Array, Array]:
     """Lengths of the columns; singular values (falling) and right vectors of the Jacobian with columns of unit length.
 
     They come from the small matrix J' J, which costs a hundredth of a decomposition of the tall one. A singular value
     is then known to 1e-8 of the largest, well below RANK_TOLERANCE. None is below 1e-16, so that inverses are finite.
+    A column without a length stays 0. Raises IdentificationError for one that is not finite.
     """
     length = np.linalg.norm(jacobian, axis=0)
-    unit = jacobian / length
+    if not np.isfinite(length).all():
+        raise IdentificationError(
+            "the model's sensitivities are not finite: close to the estimate it is unstable, or far faster than a step",
+            where,
+            "choose another first guess, or a structure with fewer states",
+        )
+    unit = jacobian / np.where(length > 0.0, length, 1.0)
     squares, vectors = np.linalg.eigh(unit.T @ unit)
     return np.asarray(length), np.sqrt(np.maximum(squares[::-1], 1e-32)), np.asarray(vectors.T[::-1])
 

@@ -363,14 +363,15 @@ def _on_unknowns(found: Estimate) -> Iterator[str]:
             yield f"the data hardly tell {label}: {value:.3g} +- {sigma:.2g}"
     if isinstance(found.model, PolynomialModel):
         return  # a coefficient is not read by itself, and those of A or F are known together
-    correlation = found.correlation
-    for i, label in enumerate(found.labels):
-        for j, other in enumerate(found.labels[:i]):
-            if abs(correlation[i, j]) > _ALIKE and not {label, other} <= together:
-                yield (
-                    f"{other} and {label} are hardly told apart (correlation {correlation[i, j]:.3f}): "
-                    "fix one or add an experiment"
-                )
+    groups: list[set[str]] = []
+    for i, j in np.argwhere(np.abs(np.triu(found.correlation, 1)) > _ALIKE).tolist():
+        pair = {found.labels[i], found.labels[j]}
+        if not pair <= together:
+            touched = [group for group in groups if group & pair]
+            groups = [group for group in groups if not group & pair] + [pair.union(*touched)]
+    for group in groups:
+        names = listed(label for label in found.labels if label in group)
+        yield f"{names} are hardly told apart (correlations above {_ALIKE}): fix one or add an experiment"
 
 
 def _on_residuals(found: Estimate) -> Iterator[str]:

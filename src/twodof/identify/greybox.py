@@ -53,6 +53,8 @@ _OTHER_SIZE = 1e6
 """Model over data, at the first guess, from which on rounding hides what the other unknowns do."""
 _STILL_SHARE, _STILL_LEAST = 0.1, 20
 """Equal values in a row, as a share of an output and at least, that only a sensor that has stopped shows."""
+_LIMITED, _LEAST_LIMITED = 0.02, 20
+"""Share of an output's samples, and least number, at its largest or smallest value that only a limit makes."""
 _BETTER = 0.8
 """Residual over the present one that makes a suggestion worth its words."""
 _FAR_BETTER = 0.5
@@ -126,9 +128,13 @@ def fit(
         asked = {"estimate": estimate, "values": values, "bounds": bounds, "separate": separate, "noise": noise}
         if idle := [name for name, one in {**asked, "band": band, "prior": prior}.items() if one]:
             raise structure.error(f"a polynomial model has no use for `{idle[0]}`", "leave it out")
-        return replace(fit_polynomial(structure, several, checked), gaps=tuple(_gaps(structure, several)))
+        model, made = structure, fit_polynomial(structure, several, checked)
+        poor = any(one.fit_percent < _POOR for one in made.identification)
+        drift = _sloping(lambda level: fit_polynomial(model, level), several, made.identification) if poor else ()
+        gaps = tuple(_gaps(structure, several))
+        return replace(made, gaps=gaps, suggestions=(*made.suggestions, *drift))
     check_structure(structure)
-    structure = _guessed(structure, several[0], values or {}) if several else structure
+    unguessed, structure = structure, _guessed(structure, several[0], values or {}) if several else structure
     wanted = structure.estimate if estimate is None else _names(estimate)
     where = f"structure '{structure.name}'"
     if not wanted or len(set(wanted)) < len(wanted):
@@ -190,7 +196,10 @@ def fit(
     answered = bool(found.model.answering)
     explained = (answered and bool(structure.delay)) or found.predictor is not None or band is not None
     explained = explained or passes(problem, problem.residual(minimum.x))
-    further = () if explained else _suggestions(problem, posed, minimum.x, poor and not answered, answered)
+    further = [] if explained else [*_suggestions(problem, posed, minimum.x, poor and not answered, answered)]
+    if poor and not answered and not explained and structure.begin is not None:
+        given = {"estimate": estimate, "values": values, "bounds": bounds, "separate": separate, "prior": prior}
+        further += _sloping(lambda level: fit(unguessed, level, disturbance="white", **given), several, compared)
     sigmas = dict(zip(problem.noise(), (problem.sigma * found.deviation).tolist(), strict=True))
     return Estimate(
         structure=structure.name,
@@ -215,7 +224,14 @@ def fit(
         gaps=tuple(_gaps(structure, several)),
         offsets=tuple(_offsets(problem, wanted, poor)),
         model=structure,
-        suggestions=(*_in_degrees(problem), *_standing_still(problem), *_outliers(problem, found), *further),
+        suggestions=(
+            *(_unmoved(problem) if poor else ()),
+            *_in_degrees(problem),
+            *_standing_still(problem),
+            *_limited(problem),
+            *_outliers(problem, found),
+            *further,
+        ),
     )
 
 
@@ -418,6 +434,32 @@ def _standing_still(problem: Problem) -> Iterator[str]:
             )
 
 
+def _limited(problem: Problem) -> Iterator[str]:
+    """Yield the outputs that lie at their largest or smallest value again and again, although they move otherwise."""
+    for k, block in enumerate(problem.blocks):
+        value = problem.measured(k)
+        ends = [end for end in (value.min(), value.max()) if np.sum(value == end) >= _LEAST_LIMITED]
+        held = np.isin(value, ends)
+        beside = value[~held]
+        if held.mean() >= _LIMITED and beside.size > 1 and np.mean(np.diff(beside) != 0.0) > 0.5:
+            yield (
+                f"{block.output} lies at {' and '.join(f'{end:.4g}' for end in ends)} in {100.0 * held.mean():.0f} % "
+                f"of '{problem.records[block.record].name}': if that is its limit, the model lacks it; excite it less"
+            )
+
+
+def _unmoved(problem: Problem) -> Iterator[str]:
+    """Yield the inputs that have one value, not 0, in every record."""
+    for name in problem.structure.inputs:
+        if name not in problem.structure.measured and all(
+            np.ptp(one.inputs[name]) == 0.0 and one.inputs[name][0] != 0.0 for one in problem.records
+        ):
+            yield (
+                f"{name} never moves: beside a gain, what is found comes from how the start dies away. Take a record "
+                f"in which {name} moves"
+            )
+
+
 def _outliers(problem: Problem, found: Disturbed) -> Iterator[str]:
     """Yield the single samples far off the model, and those of inputs far from all others."""
     own, x = found.predictor or (problem, found.minimum.x)
@@ -531,6 +573,30 @@ def _suggestions(
         yield (
             f"{' and '.join(structure.inputs)} may act about {when} the time stamps: with that the residual falls to "
             f"{share:.2g} of itself. Move the stamps{', or estimate a dead time' * (late > 0)}"
+        )
+
+
+def _sloping(
+    refit: Callable[[Sequence[Record]], Estimate], records: Sequence[Record], compared: Sequence[Comparison]
+) -> Iterator[str]:
+    """Yield that the signals drift, where a fit without their straight lines leaves less than half of the residual."""
+    level = [one.detrend(linear=True) for one in records]
+    pairs = [
+        (a.outputs[name].value, one.value)
+        for a, b in zip(records, level, strict=True)
+        for name, one in b.outputs.items()
+    ]
+    if all(np.abs(before - after).max() <= 1e-6 * after.std() for before, after in pairs):
+        return
+    try:
+        found = refit(level)
+    except IdentificationError:
+        return
+    share = max(two.rmse / one.rmse for one, two in zip(compared, found.identification, strict=True))
+    if share < _FAR_BETTER:
+        yield (
+            f"the signals drift: without their straight lines the residual falls to {share:.2g} of itself. Take the "
+            "lines away (`--detrend-line`, `record.detrend(linear=True)`)"
         )
 
 

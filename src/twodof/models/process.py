@@ -6,6 +6,7 @@ section 4.2 (models in continuous time); names as in MATLAB's `idproc`: P1D, P2D
 
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,8 +54,8 @@ class ProcessPlant(ZohPlant):
         b: list[Any] = [0.0] * n
         first = 0
         if "U" in self.letters:
-            rate = 1.0 / p.Tw
-            a[0][1], a[1][0], a[1][1], b[1] = 1.0, -(rate * rate), -2.0 * p.zeta * rate, rate * rate
+            rate = 1.0 / p.Tw  # the second state is Tw times the speed of the first: both are of one size
+            a[0][1], a[1][0], a[1][1], b[1] = rate, -rate, -2.0 * p.zeta * rate, rate
             first = 2
         for i in range(first, n):
             rate = 1.0 / p[self.times[i - first]] if i < self.lags else 1.0
@@ -102,7 +103,8 @@ def process(form: str, *, input: str = "u", output: str = "y", ring: int = RING)
     def begin(u: Array, y: Array, dt: float) -> Structure:
         found = _guess(lags, letters, u, y, dt)
         own = process(form, input=input, output=output, ring=max(ring, 2 * round(found.get("Td", 0.0) / dt) + 16))
-        return own.with_guess(**found)
+        size = float(np.abs(u).max()) or 1.0
+        return replace(own, scale=dict.fromkeys(starts, size)).with_guess(**found)
 
     return about_trim(f"process_{form}", "process model", plant, estimate, ring=ring, longest=math.inf, begin=begin)
 
