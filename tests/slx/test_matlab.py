@@ -12,7 +12,9 @@ from scipy.io import savemat
 
 from tests import toolchains
 from tests.patience import PATIENCE_S
+from twodof.blocks.bus import Bus
 from twodof.errors import DiagramError
+from twodof.slx.data_types import kind_of
 from twodof.slx.matlab.parser import assigned_names
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.script import run
@@ -317,7 +319,10 @@ end
     assert run(code, names, [tmp_path]) == []
     pair, made = names["Pair"]["Elements"], names["slBus1"]["Elements"]
     assert [(one["Name"], one["Description"]) for one in pair] == [("a", "first"), ("b", "second")]
-    assert [tuple(one.values()) for one in made] == [("v", [3, 1], "double"), ("on", [1, 1], "boolean")]
+    assert [one["Name"] for one in made] == ["v", "on"]
+    bus = kind_of("Bus: slBus1", names)
+    assert isinstance(bus, Bus)
+    assert [(one.name, one.kind, one.width) for one in bus.fields] == [("v", "real", 3), ("on", "bool", None)]
     assert names["order"].tolist() == [[2.0, 3.0, 4.0]]
     assert names["is"].tolist() == [[True, False]]
 

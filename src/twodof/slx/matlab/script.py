@@ -106,8 +106,8 @@ class RunningScript(Program):
             if self.unnamed:
                 raise NotComputed("the name of this bus is not known: that of an earlier one was not computed")
             made = next(one for k in range(1, len(self.base) + 2) if (one := f"slBus{k}") not in self.base)
-            elements = [(field, [*as_array(v).shape], _named(v)) for field, v in arguments[0].items()]
-            self.base.update(_buses([[made, [[*one] for one in elements]]]))
+            elements = [[field, np.array([as_array(v).shape]), _named(v)] for field, v in arguments[0].items()]
+            self.base.update(_buses([[made, elements]]))
             return {"busName": made}
         elif name == "c2d" and arguments and isinstance(arguments[0], dict):
             return _sampled(*arguments)
