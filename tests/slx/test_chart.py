@@ -1,11 +1,14 @@
 """Stateflow charts: sequences derived by hand from Stateflow's rules, each action written into a log of digits."""
 
+import random
+import subprocess
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
 
+from tests import toolchains
 from tests.slx.files import Blocks, Lines, model, slx
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
@@ -377,6 +380,41 @@ def test_whole_numbers_in_c_are_computed_in_32_bits(
     assert got["y_log"].tolist() == [0, *((k + 200) * 2 // 3 + 0.5 for k in counted[1:])]
 
 
+WHOLE = {"a": "uint8", "b": "int8", "c": "uint16", "d": "int16", "e": "int32"}
+
+
+def drawn_c(draw: random.Random, depth: int = 3) -> str:
+    """A random expression of C: whole numbers, casts, shifts, and quotients by literals."""
+    names, inner = [*WHOLE], lambda: drawn_c(draw, depth - 1)
+    if depth == 0 or draw.random() < 0.2:
+        return draw.choice([*names, str(draw.randrange(400)), f"({draw.choice(names)} >> {draw.randrange(9)})"])
+    return draw.choice([
+        lambda: f"{inner()} {draw.choice('+-*')} {inner()}", lambda: f"({inner()} {draw.choice('+-')} {inner()})",
+        lambda: f"({inner()}) / {draw.randrange(1, 90)}", lambda: f"{draw.choice([*WHOLE.values()])}({inner()})",
+        lambda: f"-({inner()})",
+    ])()  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whole_numbers_in_c_are_those_of_a_compiler(tmp_path: Path, seed: int) -> None:
+    """What GCC gives where numbers wrap around: 30 ticks of ten random assignments."""
+    toolchains.need("gcc")
+    draw = random.Random(seed)
+    text = "\n".join(f"{draw.choice([*WHOLE])} = {drawn_c(draw)};" for _ in range(10))
+    settings = f'{IN_C}<P Name="saturateOnIntegerOverflow">0</P>'
+    held = [data(name, "OUTPUT", kind, str(7 + 5 * k)) for k, (name, kind) in enumerate(WHOLE.items())]
+    parts = state(1, f"A\nduring:\n{text}") + way(11, None, 1)
+    got = flown(chart(tmp_path, parts, *held, settings=settings, outputs=(*WHOLE,)), [0.0] * 30)
+    declared = "".join(f"{kind}_t {name} = {7 + 5 * k};" for k, (name, kind) in enumerate(WHOLE.items()))
+    casts = "".join(f"#define {kind}(x) (({kind}_t)(x))\n" for kind in WHOLE.values())
+    shown = f'printf("{"%d " * len(WHOLE)}", {", ".join(WHOLE)});'
+    source = f"#include <stdint.h>\n#include <stdio.h>\n{casts}int main(void) {{ {declared} {shown}"
+    (tmp_path / "c.c").write_text(f"{source} for (int k = 1; k < 30; k++) {{ {text} {shown} }} }}", encoding="utf-8")
+    subprocess.run(["gcc", "-fwrapv", "-w", str(tmp_path / "c.c"), "-o", str(tmp_path / "c")], check=True)
+    wanted = subprocess.run([str(tmp_path / "c")], stdout=subprocess.PIPE, check=True).stdout.split()
+    assert np.array_equal(np.array(wanted, int).reshape(30, -1), np.array([got[f"y_{name}"] for name in WHOLE]).T)
+
+
 def test_an_index_in_c_begins_at_0(tmp_path: Path) -> None:
     label = "A\nentry: a[0] = 5;\nduring: a[k]++; a[k + 1] += a[0]; k = 1;"
     held = [data("a", "OUTPUT", "int16", size="3"), data("k", "LOCAL", "uint8")]
@@ -414,6 +452,26 @@ def test_an_output_of_a_chart_names_its_line_in_a_bus(tmp_path: Path) -> None:
     found = import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT)
     assert found.diagram is not None, found.refused
     assert build(found.diagram, dt=found.dt).machine().run(2, {})["y"].tolist() == [3.0, 3.0]
+
+
+def test_an_input_that_says_no_type_has_that_of_the_charts_data(tmp_path: Path) -> None:
+    """Whether a port drives it or nothing does; and states may hold one constant each, if they are alike."""
+    ports = [data("u", "INPUT", "uint8"), data("v", "INPUT", "uint16", size="3"), data("w", "INPUT", "int16")]
+    inner: Blocks = [*(("Inport", name, {"Port": str(k)}) for k, name in enumerate("uvw", start=1))]
+    inner += [("Outport", "y", {"Port": "1"})]
+    blocks: Blocks = [("Inport", "a", {"Port": "1"}), ("Inport", "b", {"Port": "2"}), ("Outport", "out", {"Port": "1"})]
+    blocks += [("SubSystem", "chart", {"SFBlockType": "Chart", "Ports": "[3, 1]"}, (inner, []))]
+    alike = data("n", "CONSTANT", "int16", "4")
+    parts = way(1, None, 2) + state(2, "A\nduring: y = u + v[2] + w + n;", alike) + state(3, "B", alike)
+    text = "".join([parts, *ports, data("y", "OUTPUT", "int32")])
+    body = f'<chart id="9">{IN_C}<P Name="saturateOnIntegerOverflow">1</P><Children>{text}</Children></chart>'
+    lines: Lines = [("a", "chart:1"), ("b", "chart:2"), ("chart:1", "out")]
+    files = {**model(blocks, lines), "simulink/stateflow/chart_9.xml": body}
+    found = import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT)
+    assert found.diagram is not None, found.refused
+    machine = build(found.diagram, dt=found.dt).machine()
+    assert [(one.kind, one.width) for one in machine.inputs.values()] == [("uint8", None), ("uint16", 3)]
+    assert machine.run(2, {"a": [200, 200], "b": [[1, 2, 65535]] * 2})["out"].tolist() == [0, 65739]
 
 
 def test_a_discrete_chart_acts_at_its_own_times(tmp_path: Path) -> None:

@@ -199,6 +199,9 @@ class _Chart:
                 if scope != "LOCAL_EVENT" and (scope, values.get("trigger")) != ("OUTPUT_EVENT", "FUNCTION_CALL_EVENT"):
                     raise NotTranslated(f"the event {name} is not translated")
                 (self.events if scope == "LOCAL_EVENT" else self.calls).append(name)
+            elif part["tag"] == "data" and values.get("scope") == "CONSTANT_DATA":
+                alike = [one for one in self.data if one["name"] == part["name"] and one["values"] == values]
+                self.data += [] if alike else [part]  # states may hold the same constant
             elif part["tag"] == "data":
                 (parent.data if parent in self.functions else self.data).append(part)
         order = [one.number for one in parent.children]

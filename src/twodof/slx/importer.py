@@ -53,6 +53,7 @@ from twodof.slx.sheet import (
     BACKWARDS,
     KEEPS_TYPE,
     Sheet,
+    argument,
     bus_wanted,
     ends,
     siblings,
@@ -61,7 +62,7 @@ from twodof.slx.sheet import (
     width_wanted,
 )
 from twodof.slx.toolbox_blocks import TOOLBOXES
-from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
+from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, plain
 from twodof.slx.wiring import Wiring, safe
 
 MOST_GUESSES = 12
@@ -383,7 +384,7 @@ class _Import(Wiring):
     def _inport(self, key: tuple[str, str], block: SimulinkBlock) -> None:
         names = self.sheets[key[0]].names
         said = collapsed(block.values.get("OutDataTypeStr", "Inherit: auto"))
-        if said.startswith("Inherit") and (wanted := type_declared(self.sheets, *key)):
+        if said.startswith("Inherit") and (wanted := type_declared(self.sheets, *key, self.code)):
             self.approximated.setdefault(key, []).append(f"inherits its type: taken for {wanted}, declared behind it")
             said = wanted
         kind: Kind = "real" if said.startswith("Inherit") else kind_of(said, names)
@@ -562,7 +563,7 @@ class _Import(Wiring):
 
     def _wanted(self, key: tuple[str, str]) -> str:
         """Return the data type of what is behind a block: declared, or that of what it meets there; "" without one."""
-        declared = type_declared(self.sheets, *key, lambda at, pin: self._type(at, pin))
+        declared = type_declared(self.sheets, *key, self.code, lambda at, pin: self._type(at, pin))
         if declared:
             return declared
         beside = (self._origin(*one) for one in siblings(self.sheets, *key))
@@ -583,7 +584,8 @@ class _Import(Wiring):
             pins = self._inputs(key)
             loose = [pin.number for pin in pins if self._origin(path, pin) is None]
             inputs = [
-                self._undriven(code, pin) if pin.number in loose else self._type(path, pin) or Signal() for pin in pins
+                self._undriven(code, block, pin) if pin.number in loose else self._type(path, pin) or Signal()
+                for pin in pins
             ]
             values = self._values(key)
             labels = [self._label(path, pin) for pin in self._inputs(key)]
@@ -607,10 +609,13 @@ class _Import(Wiring):
 
         self._try(key, translate)
 
-    def _undriven(self, code: SimulinkChart | None, pin: Pin) -> Signal:
-        """Return the type of an input without a known one: as wide as a MATLAB Function's indices reach."""
-        width = last_index(code.text, pin.number, self.folders) if code is not None and code.function else 1
-        return Signal(width=width if width > 1 else None)
+    def _undriven(self, code: SimulinkChart | None, block: SimulinkBlock, pin: Pin) -> Signal:
+        """Return the type of an input that nothing drives: that of a chart's data, or as wide as its indices reach."""
+        if code is None:
+            return Signal()
+        said = argument(code, block, pin.number).get("dataType", "Inherit")
+        width = last_index(code.text, pin.number, self.folders) if code.function else 1
+        return Signal(kind_of(said, self.names) if said in TYPES else "real", width if width > 1 else None)
 
     def _foreign(self, block: SimulinkBlock) -> str:
         """Return why a block has no rule: of a function in another language with the file that has its code."""

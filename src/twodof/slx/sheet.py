@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus
 from twodof.blocks.declarations import Port
@@ -126,11 +128,22 @@ def width_wanted(
                 wanted = found.shape[0].bit_length() - 1 if name == "TruthTable" else found.shape[1]
         elif block.type in KEEPS_WIDTH and hops and pin.number in _data(sheets[at], pin, block):
             wanted = width_wanted(sheets, at, pin.sid, code, folders, hops - 1)
-        elif block.kind == "MATLAB Function":
-            one = code.get(below(at, block))
-            wanted = 1 if one is None else last_index(one.text, pin.number, folders)
+        elif (one := code.get(below(at, block))) is not None:
+            with suppress(DiagramError, NotComputed):
+                size = argument(one, block, pin.number).get("props/array/size", "-1")
+                wanted = int(np.prod(np.abs(as_array(evaluate(size, sheets[at].names, "size")))))
+            if wanted == 1 and one.function:
+                wanted = last_index(one.text, pin.number, folders)
         most = max(most, wanted)
     return most
+
+
+def argument(chart: SimulinkChart, block: SimulinkBlock, number: int) -> Mapping[str, Any]:
+    """Return what a chart or a MATLAB Function declares of its input of this number."""
+    ports = block.system.blocks.values() if block.system is not None else ()
+    name = next((collapsed(one.name) for one in ports if one.type == "Inport" and port_number(one) == number), "")
+    data = [one for one in (chart.form or {}).get("inside", ()) if one["tag"] == "data" and one["name"] == name]
+    return next((one["values"] for one in data if one["values"].get("scope") == "INPUT_DATA"), {})
 
 
 def bus_wanted(
@@ -182,10 +195,11 @@ def type_declared(
     sheets: Sheets,
     path: str,
     sid: str,
+    code: Mapping[str, SimulinkChart],
     known: Callable[[str, Pin], Signal | None] = lambda at, pin: None,
     depth: int = 0,
 ) -> str:
-    """Return the data type that a port or the element of a bus behind an output declares; "" without one.
+    """Return the data type that a port, a chart or the element of a bus behind an output declares; "" without one.
 
     `known` has the types of pins that are known already.
     """
@@ -205,7 +219,10 @@ def type_declared(
             place = ".".join(map(field_name, names[pin.number - 2].split("."))) if pin.number - 2 < len(names) else ""
             found = next((type_text(Signal(one.kind)) for one in leaves if one.name == place), "")
         elif block.type in (*KEEPS_TYPE, *_JOINS, "Reshape") and (block.type != "Switch" or pin.number != 2):
-            found = type_declared(sheets, at, pin.sid, known, depth + 1)
+            found = type_declared(sheets, at, pin.sid, code, known, depth + 1)
+        elif (one := code.get(below(at, block))) is not None:
+            said = argument(one, block, pin.number).get("dataType", "Inherit")
+            found = "" if said.startswith("Inherit") else said
         if found:
             return found
     return ""

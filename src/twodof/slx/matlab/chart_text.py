@@ -18,13 +18,13 @@ SEND = re.compile(r"\bsend\s*\(\s*(\w+)\s*(?:,\s*([\w.]+)\s*)?\)\s*;?")
 _EVENTS = re.compile(r"(?:[A-Za-z]\w*(?:\s*\|\s*[A-Za-z]\w*)*)?")
 _C = re.compile(
     r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
-    r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|&&|\|\||[-+*/!<>=();,\[\].])"
+    r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|>>|&&|\|\||[-+*/!<>=();,\[\].])"
 )
 _PLACE_OF = r"([\w.]+(?:\([^()]*(?:\(\d+\)[^()]*)*\))?){}"
 """A name, perhaps with an index, and what stands behind it."""
-_SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false"}
+_SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false", *INTEGER_TYPES}
 """Functions that mean the same in C and in MATLAB's language."""
-_PLAIN_NUMBERS = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", *INTEGER_TYPES}
+_PLAIN_NUMBERS = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo"}
 """Calls whose literals keep their form."""
 
 
@@ -41,14 +41,13 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
             raise NotTranslated(f"{owner}: {text[at : at + 12]!r} in C is not translated")
         tokens.append(found[0])
         at = found.end()
+    exact = exact and INTEGER_TYPES.keys().isdisjoint(tokens)
     solid = [k for k, one in enumerate(tokens) if one.strip(" .\t\n") or one == "."]
     words = [tokens[k] for k in solid]
     calls = list[str]()
     for k, (one, after) in enumerate(pairwise([*words, ""])):
         before = words[k - 1] if k else ""
-        literal = one in INTEGER_TYPES and re.fullmatch(r"\d+ \)", " ".join(words[k + 2 : k + 4]))
-        known = functions | _SAME_IN_C | ({one} if literal else set())
-        if after == "(" and one.isidentifier() and one not in known and before != ".":
+        if after == "(" and one.isidentifier() and one not in functions | _SAME_IN_C and before != ".":
             raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
         if one in ("++", "--") and not before.isidentifier() and before != "]":
             raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
@@ -56,7 +55,10 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
             raise NotTranslated(f"{owner}: {one} in C is not translated")
         if exact and one == "/" and before.isdigit() and after.isdigit():
             raise NotTranslated(f"{owner}: the quotient of {before} and {after} is whole in C")
-        if one in ("/=", "*=") or (one == "[" and before == "]"):
+        # All but these bind before a shift.
+        alone = {*words[max(k - 2, 0) : k - 1], *words[k + 2 : k + 3]} <= {"=", "(", ")", ",", ";", "&&", "||"}
+        shift = one == ">>" and not (alone and before.isidentifier() and after.isdigit())
+        if one in ("/=", "*=") or (one == "[" and before == "]") or shift:
             raise NotTranslated(f"{owner}: {one!r} in C is not translated")
         calls += [before] if one == "(" else []
         calls = calls[:-1] if one == ")" else calls
@@ -67,6 +69,7 @@ def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
     step = "1" if exact else "int32(1)"
     forms = {"!": "~", "!=": "~=", "[": "(", "]": f" + {step})"}  # an index is from 0 on
     made = "".join(forms.get(one, one) for one in tokens)
+    made = re.sub(r"(\w+)\s*>>\s*int32\((\d+)\)", r"bitshift(\1, -\2)", made)
     made = re.sub(_PLACE_OF.format(r"\s*(\+\+|--)"), lambda m: f"{m[1]} = {m[1]} {m[2][0]} {step}", made)
     return re.sub(_PLACE_OF.format(r"\s*([-+])=\s*([^;,\n]*)"), r"\1 = \1 \2 (\3)", made)
 

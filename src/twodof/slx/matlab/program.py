@@ -41,6 +41,7 @@ from twodof.slx.matlab.values import (
     is_signal,
     joined,
     lifted,
+    lowered,
     number,
     scalar,
     stored,
@@ -530,6 +531,8 @@ class Program:
         held = self.evaluation.names.get(name) if isinstance(name, str) else name
         if callable(held):
             return held(self, arguments, count)
+        if self.wraps is not None and name in INTEGER_TYPES:  # a cast
+            return _of_kind(arguments[0], name, self.wraps)
         if name == "single" or "single" in [one for one in arguments if isinstance(one, str)]:
             self.code.notes.append("single: computed in the precision of the build")
         code, function = self.code, self.code.functions.get(name)
@@ -598,7 +601,7 @@ def _of_kind(value: Value, kind: Any, wraps: bool | None) -> Value:
     array = as_array(value)
     if wraps is not None and kind in INTEGER_TYPES and class_of(array) not in (kind, "bool"):
         if class_of(array) in INTEGER_TYPES:
-            return wrapped(array, kind) if wraps else converted(array, kind)
+            return lowered(wrapped(array, kind) if wraps else converted(array, kind))
         if is_signal(array) or not np.array_equal(array.astype(kind), array):
             raise NotComputed(f"{class_of(array)} in {kind} has other rules in C")
     return value if kind is None or class_of(array) == kind else converted(array, kind)
