@@ -83,6 +83,13 @@ def test_an_unstable_plant_needs_its_gain() -> None:
     assert not margins(loop([0.9], [1.0, -1.0])).stable
 
 
+def test_a_double_integrator_bears_any_less_gain() -> None:
+    """k (s + .5) / (s^2 (s + 20)): by Routh stable for every k > 0, so no rounding at frequency 0 is a margin."""
+    found = margins(loop([1.0, 0.5], [1.0, 20.0, 0.0, 0.0]))
+    assert found.stable
+    assert found.gains == ()
+
+
 def test_an_unstable_loop_prints_its_motion_and_no_margins() -> None:
     """0.9 / (s - 1) closed has its pole at 0.1; 1 / (s^2 - 0.2 s + 3) closed swings at 2 rad/s."""
     assert repr(margins(loop([0.9], [1.0, -1.0]))) == "<LoopMargins unstable: runs away, growing by a factor e in 10 s>"

@@ -120,7 +120,7 @@ class DiskMargin:
 
 
 _ON_THE_POINT = 1e-6  # of an open-loop pole to z = 1 or z = -1, where L is then infinite
-_SMALL = 1e-4  # a gain margin of 80 dB is none
+_SMALL = 1e-4  # a gain margin of 80 dB, up or down, is none
 _HALF_POWER = math.sqrt(0.5)
 
 
@@ -323,7 +323,7 @@ def _gains(loop: LoopTransfer, grid: Array, values: Complex) -> list[GainCrossin
     found = [
         GainCrossing(-1.0 / at.real, omega)
         for omega, at in places
-        if -math.inf < at.real < -_SMALL and abs(at.imag) <= 1e-6 * abs(at.real)
+        if -1.0 / _SMALL < at.real < -_SMALL and abs(at.imag) <= 1e-6 * abs(at.real)
     ]
     return sorted(found, key=lambda g: g.omega)
 

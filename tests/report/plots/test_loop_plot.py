@@ -7,6 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from twodof.design import LoopTransfer, margins
+from twodof.design.own_loop import read_rational
 from twodof.report.plots.canvas import on_paper
 from twodof.report.plots.loop_plot import draw_root_locus, write_loop_plot
 from twodof.sim.linear import cascade_loop
@@ -32,6 +33,15 @@ def test_branches_cross_where_routh_says() -> None:
     start = branches[np.isfinite(branches).all(axis=1)]
     for pole in (0.0, -1.0, -2.0):
         assert np.hypot(start[:, 0] - pole, start[:, 1]).min() < 0.02
+    assert ax.get_xlim()[0] < -2.0  # and all of them are in the frame
+
+
+def test_zeros_are_drawn_where_branches_end() -> None:
+    loop, ax = read_rational("(s + 2) (s + 3) / ((s + 1) (s^2 + 2 s + 5))").transfer("loop", None), Figure().subplots()
+    draw_root_locus(ax, margins(loop), on_paper())
+    (zeros,) = [line.get_xydata() for line in ax.lines if line.get_label() == "zeros"]
+    assert np.sort(zeros[:, 0]) == pytest.approx([-3.0, -2.0])
+    assert zeros[:, 1] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
 @pytest.mark.long

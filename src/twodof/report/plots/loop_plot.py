@@ -204,9 +204,11 @@ def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
     gains = np.append(0.0, np.geomspace(0.02, most, 600 if len(loop.a) > _FEW else 4000))
     z, dt = root_locus(loop, gains), loop.dt
     # A pole at z = 0, of a delay, has no place in the s plane.
-    branches = z if dt is None else np.log(np.where(z == 0.0, np.nan, z)) / dt
-    reach = _reach(found, branches)
+    branches = _continuous(z, dt)
+    zeros = _continuous(_zeros(loop), dt)
+    reach = _reach(found, np.append(branches[0], zeros))
     _draw_branches(ax, found, branches, reach, colours)
+    ax.plot(zeros.real, zeros.imag, "o", color=colours["soft"], markersize=6, fillstyle="none", label="zeros")
     for crossing in (found.increase, found.decrease):
         if crossing is not None and 0.1 * reach < crossing.omega < reach:
             ax.plot([0.0, 0.0], [crossing.omega, -crossing.omega], "o", color=colours["bad"], markersize=5)
@@ -233,12 +235,28 @@ def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
         inset.set_title("around 0", loc="left", fontsize=8)
 
 
-def _reach(found: LoopMargins, branches: Any) -> float:
-    """Return half the height of the frame: it holds crossover, margins and the closed loop's slower poles."""
+def _continuous(z: Any, dt: float | None) -> Any:
+    """Return roots of z in the s plane, where those at 0 have no place; of a continuous loop they are there."""
+    return z if dt is None else np.log(np.where(z == 0.0, np.nan, z)) / dt
+
+
+def _zeros(loop: LoopTransfer) -> Any:
+    """Return the finite zeros: where the system matrix of A, B, C and D loses its rank."""
+    from scipy.linalg import eigvals  # imported late: most commands start without it
+
+    matrix = np.block([[loop.a, loop.b], [loop.c, np.array([[loop.d]])]])
+    rates = np.diag([*np.ones(len(loop.a)), 0.0])
+    found = eigvals(matrix, rates)
+    # Those at infinity come out as very large numbers.
+    return found[np.isfinite(found) & (np.abs(found) < 1e6 * (1.0 + np.abs(loop.a).max()))]
+
+
+def _reach(found: LoopMargins, roots: Any) -> float:
+    """Return half the height of the frame: it holds crossover, margins, the slower poles and zeros of the open loop."""
     speed = speed_of(found)
     places = [speed, *(g.omega for g in (found.increase,) if g is not None and 0.0 < g.omega < math.inf)]
-    near = np.abs(np.concatenate([branches[0], found.poles_rad]))
-    places += near[np.isfinite(near) & (near < _SPEED * speed)].tolist()
+    near = np.abs(np.concatenate([roots, found.poles_rad]))
+    places += near[np.isfinite(near) & (near < _SPEED * max(places))].tolist()
     reach = 1.3 * max(places)
     return reach if found.loop.dt is None else min(reach, math.pi / found.loop.dt)
 
