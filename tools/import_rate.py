@@ -30,7 +30,7 @@ from twodof.slx.inspection import inspect
 from twodof.slx.matlab.parser import assigned_names
 from twodof.slx.matlab.script import read_workspace
 from twodof.slx.matlab.values import Value
-from twodof.slx.model import read_model
+from twodof.slx.model import CODED, read_model
 
 MISSING = re.compile(r"is not found|cannot be found")
 STEPS = 1000
@@ -40,7 +40,7 @@ PERIOD = 0.01
 
 @dataclass
 class Tried:
-    """A model that was tried: whether it has a chart part, what it is refused for (nothing: it ran)."""
+    """A model that was tried: whether it, or what it refers to, has a chart part; what it is refused for."""
 
     path: Path
     chart: bool = False
@@ -69,13 +69,14 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     found = Tried(path, bool(model.charts), sum(1 for _ in model.blocks()))
     folders = [path.parent, *folders]
     wanted = set(inspect(model, folders).names)
-    names = _workspace(wanted, folders)
+    names = _workspace(wanted, folders, path.stem)
     missing = wanted - names.keys()
     found.invented = len(missing)
     found.absent = len(missing.difference(*map(_given, _files(tuple(folders), "m"))))
     names |= {name: np.array([[1.0]]) for name in missing}
     try:
         imported = import_system(model, "", names, folders, otherwise=PERIOD)
+        found.chart |= any(line.kind in CODED for line in imported.report)
         if imported.diagram is None and not imported.refused:
             raise TwodofError("no block is refused, but the diagram is missing", str(path), "mend the importer")
         for line in imported.refused:
@@ -96,17 +97,19 @@ _GIVES = re.compile(r"assignin|cellToObject")
 """Functions by which a function's file gives names to the base workspace."""
 
 
-def _workspace(wanted: set[str], folders: list[Path]) -> dict[str, Value]:
-    """Return what the scripts and .mat files of these folders give the names `wanted`.
+def _workspace(wanted: set[str], folders: list[Path], model: str) -> dict[str, Value]:
+    """Return what the scripts and .mat files of these folders give the names `wanted` of a model.
 
-    A name keeps its first value, and a structure takes the further fields that other scripts give it.
-    Scripts that need a name of other scripts run again when those gave it, as in a session of MATLAB's.
+    Scripts that name the model come first. A name keeps its first value, and a structure takes the further fields that
+    other scripts give it. Scripts that need a name of other scripts run again when those gave it, as in a session of
+    MATLAB's.
     """
     values: dict[str, Value] = {}
     asked = set(wanted)
+    files = sorted(_files(tuple(folders), "m"), key=lambda file: model not in _words(file))
     for _ in range(MOST_TURNS):
         before, needed = len(values), set[str]()
-        for file in _files(tuple(folders), "m"):
+        for file in files:
             full = {name for name, value in values.items() if not isinstance(value, dict)}
             if not _given(file) & asked - full:
                 continue
@@ -145,6 +148,11 @@ def _recorded(file: Path) -> dict[str, Value]:
     with suppress(TwodofError):
         read_workspace(file, found)
     return found
+
+
+@cache
+def _words(file: Path) -> frozenset[str]:
+    return frozenset(re.findall(r"\w+", file.read_text(errors="replace")))
 
 
 @cache

@@ -125,6 +125,13 @@ EDGES = "simulink/Discontinuities"
         ("simulink/Math Operations/Slider Gain", {"gain": "3"}, 1, lambda u: 3 * u),
         ("Logic", {"Operator": "AND"}, 2, lambda a, b: (a != 0) & (b != 0)),
         ("ArithShift", {"BitShiftNumber": "3", "BitShiftDirection": "Left"}, 1, lambda u: 8 * u),
+        ("ArithShift", {"BitShiftNumberSource": "Input port"}, 2, lambda u, v: u * 2.0 ** np.floor(-v)),
+        (
+            "HitCross",  # a crossing in the step after one is not seen
+            {"HitCrossingOffset": "9e-3"},
+            1,
+            recurrent(lambda u, s: (hit := s[0] * (u - 9e-3) < 0 and not s[1], (u - 9e-3, hit)), (0.0, False)),
+        ),
         (
             "DiscreteFir",
             {"Coefficients": "[.5 -2 3]", "InitialStates": "4"},

@@ -528,7 +528,7 @@ def test_a_chart_in_c_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
 
 SUITE = "ts1413+test"
 BLOCKS = {
-    "kohei-y/Logic_and_Bit": ("Bitwise_Operator_mask", "Bitwise_Operator_nomask"),
+    "kohei-y/Logic_and_Bit": ("Bitwise_Operator_mask", "Bitwise_Operator_nomask", "Shift_Arithmetic_Input"),
     "kohei-y/Signal_Attr": ("Data_Type_Conversion", "IC", "Rate_Transition_1z", "Rate_Transition_Buf",
                             "Rate_Transition_Copy", "Rate_Transition_DbBuf", "Rate_Transition_ZOH",
                             "Signal_Conversion_Copy"),

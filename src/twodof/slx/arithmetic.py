@@ -13,6 +13,7 @@ from functools import partial, reduce
 from typing import Any
 
 from twodof.blocks.elementary.functions import ceil, floor, round_half_away, round_half_even, trunc
+from twodof.blocks.elementary.functions import pow as power
 from twodof.blocks.elementwise import clamp
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.conversions import to_stored
@@ -264,7 +265,10 @@ def _shift(c: Asked) -> Made:
     """Shift the bits of a whole number: to the left they get lost, to the right the sign stays."""
     kind = c.inputs[0].number
     direction = c.needs("BitShiftDirection", "Bidirectional", "Left", "Right", "Bidirectional")
-    c.needs("BitShiftNumberSource", "Dialog", "Dialog")
+    if c.needs("BitShiftNumberSource", "Dialog", "Dialog", "Input port") == "Input port":
+        if {one.kind for one in c.inputs} != {"real"} or direction == "Left" or c.scalar("BinPtShiftNumber", "0"):
+            raise NotTranslated(f"a shift of {c.inputs[0]} by an input is not translated")
+        return formula(c, lambda t, u, count: u * power(2.0, floor(0.0 - count)))
     count = int(c.scalar("BitShiftNumber", "0")) * (-1 if direction == "Left" else 1)
     if kind == "real" and not c.scalar("BinPtShiftNumber", "0"):
         return same(c, Gain(2.0**-count, c.width))

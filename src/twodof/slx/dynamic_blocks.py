@@ -23,6 +23,7 @@ from twodof.blocks.elementwise import clamp, elementwise, port_series
 from twodof.blocks.expressions.expr import convert, int32, where
 from twodof.blocks.expressions.numbers import INTEGER_TYPES, INTEGERS, WORDS
 from twodof.blocks.library import (
+    Bias,
     Constant,
     Convert,
     Delay,
@@ -44,7 +45,7 @@ from twodof.blocks.library import (
     ZeroOrderHold,
 )
 from twodof.slx.arithmetic import exact, fitted
-from twodof.slx.composite_blocks import Formula, formula
+from twodof.slx.composite_blocks import Formula, Next, formula
 from twodof.slx.conditions import ControlEdge
 from twodof.slx.data_types import kind_of, value_of
 from twodof.slx.translation import (
@@ -640,6 +641,19 @@ def _relay(c: Asked) -> Made:
     return formula(c, lambda *v: fitted(where(on(*v), high, low), kind, True, "Nearest"), kind, x=(False, on))
 
 
+def _hit_crossing(c: Asked) -> Made:
+    """Say that the input is at the offset, or has just crossed it: then for one step, as in MathWorks' C."""
+    edge = c.needs("HitCrossingDirection", "either", "either", "rising", "falling")
+    offset, _ = c.scalar("HitCrossingOffset", "0"), c.kind("real")
+    at: Next = lambda t, u, hit, y, was: where(was, y & (u == offset), where(hit, ~y, u == offset))  # noqa: E731
+    states = {"y": (False, at), "was": (False, lambda t, u, hit, y, was: hit & ~was)}
+    d = Diagram("hit_crossing")
+    d.add("hit", ControlEdge(edge), u=d.add("less", Bias(-offset), u=d.input("u")))
+    d.add("y", Formula(at, [Signal(), Signal("bool")], Signal("bool"), states), u1="u", u2="hit")
+    d.output("y", "y")
+    return Made(d, [Signal("bool")]) if c.text("ShowOutputPort", "on") == "on" else Made(None, [])
+
+
 def _clock(c: Asked) -> Made:
     d = Diagram("clock")
     d.add("time", Time())
@@ -656,6 +670,7 @@ DYNAMIC_RULES: dict[str, Rule] = {
     "DiscreteFir": _fir,
     "DiscreteIntegrator": _discrete_integrator,
     "DiscreteTransferFcn": _filters,
+    "HitCross": each(_hit_crossing),
     "Integer Delay": _library_delay,
     "Integrator": _integrator,
     "Memory": _unit_delay,

@@ -33,8 +33,9 @@ KEEPS_WIDTH = (
 """Types of blocks whose output is as wide as their inputs."""
 _JOINS = ("Concatenate", "Mux")
 """Types of blocks that want one type of all their inputs, side by side."""
-_SIZED = {"CombinatorialLogic": "TruthTable", "DiscreteStateSpace": "B", "Gain": "Gain", "StateSpace": "B"}
-"""Types of blocks whose parameter says how wide their input is."""
+_SIZED = {"CombinatorialLogic": ("TruthTable", "zeros(8, 2)"), "DiscreteStateSpace": ("B", "1"), "Gain": ("Gain", "1"),
+          "StateSpace": ("B", "1")}  # fmt: skip
+"""Types of blocks whose parameter says how wide their input is, with its default."""
 BACKWARDS = "Inherit: Inherit via back propagation"
 _TEXTS = {"real": "double", "float32": "single", "bool": "boolean", "float64": "uint64"}
 
@@ -120,11 +121,12 @@ def width_wanted(
         elif block.type == "Selector":
             said = block.values.get("InputPortWidth", "1")
             wanted = int(said) if said.isdigit() else 1
-        elif (name := _SIZED.get(block.type, "")) and (
+        elif block.type in _SIZED and (
             block.type != "Gain" or block.values.get("Multiplication", "").startswith("Matrix(K*u)")
         ):
+            name, default = _SIZED[block.type]
             with suppress(DiagramError, NotComputed):
-                found = as_array(number(evaluate(block.values.get(name, "1"), sheets[at].names, name)))
+                found = as_array(number(evaluate(block.values.get(name, default), sheets[at].names, name)))
                 wanted = found.shape[0].bit_length() - 1 if name == "TruthTable" else found.shape[1]
         elif block.type in KEEPS_WIDTH and hops and pin.number in _data(sheets[at], pin, block):
             wanted = width_wanted(sheets, at, pin.sid, code, folders, hops - 1)
