@@ -127,7 +127,12 @@ def _parameters(rule: Rule, read: dict[str, str]) -> str:
     for function in _reached(rule):
         tree = ast.parse(textwrap.dedent(_source(function)))
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args:
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "only":
+                for one in node.keywords:
+                    if one.arg is not None and isinstance(one.value, ast.Constant):
+                        choices = found.setdefault(one.arg, [])
+                        choices += [] if choices else [str(one.value.value)]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args:
                 name = node.args[0]
                 if node.func.attr in NUMBERS | CHOICES and isinstance(name, ast.Constant):
                     choices = found.setdefault(str(name.value), [])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.slx.files import Blocks, model_of, slx
 from twodof.blocks.schema.json_form import from_json, to_json
@@ -289,6 +290,56 @@ def test_remainders_are_exact_and_say_what_simulink_says_of_0_and_infinity(
     found = run(one_block(tmp_path, "Math", {"Operator": name}, ("double", "double")), [u, v])
     assert np.array_equal(found[:3], [at_0, 5.0, np.nan], equal_nan=True)
     assert np.array_equal(found[3:], wanted(u[3:], v[3:]))
+
+
+def test_a_random_source_has_the_distribution_of_its_dialog(tmp_path: Path) -> None:
+    source, uniform = "dspsrcs4/Random Source", {"SrcType": "Uniform", "MinVal": "2", "MaxVal": "5"}
+    normal = run(one_block(tmp_path, source, {"SrcType": "Gaussian", "MeanVal": "3", "VarVal": "4"}, ()), [])
+    assert abs(normal.mean() - 3.0) < 4.0 * 2.0 / STEPS**0.5
+    assert abs(normal.std() - 2.0) < 4.0 * 2.0 / (2.0 * STEPS) ** 0.5
+    drawn = run(one_block(tmp_path, source, uniform, ()), [])
+    assert 2.0 <= drawn.min() < 2.2
+    assert 4.8 < drawn.max() <= 5.0
+    (line,) = one_block(tmp_path, source, {**uniform, "SampFrame": "2"}, ()).refused
+    assert line.why == "SampFrame = '2' is not translated"
+
+
+ROTATIONS = Rotation.from_rotvec(DRAWN.T)
+QUATERNIONS = ROTATIONS.as_quat()[:, [3, 0, 1, 2]]
+MATRICES = ROTATIONS.as_matrix() + 0.5 * np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "inputs", "wanted"),
+    [
+        ("aerolibutil/Quaternion Rotation", [QUATERNIONS, DRAWN.T], ROTATIONS.inv().apply(DRAWN.T)),
+        ("aerolibutil/Quaternion Inverse", [QUATERNIONS], QUATERNIONS * [1, -1, -1, -1]),
+        ("aerolibutil/Quaternion Conjugate", [QUATERNIONS], QUATERNIONS * [1, -1, -1, -1]),
+        ("aerolibutil/Quaternion Normalize", [2.0 * QUATERNIONS], QUATERNIONS),
+        (
+            "aerolibutil/Quaternion Multiplication",
+            [QUATERNIONS, 2.0 * QUATERNIONS * [1, -1, -1, -1]],
+            np.tile([2.0, 0.0, 0.0, 0.0], (STEPS, 1)),
+        ),
+        ("Rod2Quat", [QUATERNIONS[:, 1:] / QUATERNIONS[:, :1]], QUATERNIONS * np.sign(QUATERNIONS[:, :1])),
+        ("sharedutil/3x3 Cross Product", [DRAWN.T, DRAWN.T[::-1]], np.cross(DRAWN.T, DRAWN.T[::-1])),
+        ("sharedutil/Create 3x3 Matrix", [*MATRICES.reshape(STEPS, 9).T], MATRICES),
+        ("dspmtrx3/Create Diagonal Matrix", [DRAWN.T], DRAWN.T[:, :, None] * np.eye(3)),
+        ("aerolibutil/Invert  3x3 Matrix", [MATRICES], np.linalg.inv(MATRICES)),
+        ("sharedutil/Determinant of 3x3 Matrix", [MATRICES], np.linalg.det(MATRICES)),
+    ],
+)
+def test_quaternions_and_matrices_of_toolboxes(
+    tmp_path: Path, kind: str, inputs: list[np.ndarray], wanted: np.ndarray
+) -> None:
+    sizes = ["1" if one.ndim == 1 else str([*one.shape[1:]]) for one in inputs]
+    said = [{"Port": str(k), "OutDataTypeStr": "double", "PortDimensions": one} for k, one in enumerate(sizes, start=1)]
+    blocks: Blocks = [*(("Inport", f"u{one['Port']}", one) for one in said), ("Outport", "y", {})]
+    own = kind if "/" not in kind else "Reference"
+    blocks.append((own, "block", {"SourceBlock": kind, "Ports": f"[{len(inputs)}, 1]"}))
+    lines = [*((f"u{k}", f"block:{k}") for k in range(1, len(inputs) + 1)), ("block", "y")]
+    found = import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
+    assert np.allclose(run(found, inputs), wanted, rtol=1e-9, atol=1e-9)
 
 
 def test_a_truth_table_and_a_row_times_a_matrix(tmp_path: Path) -> None:

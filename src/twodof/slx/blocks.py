@@ -386,23 +386,9 @@ TAKES_BUSES = (
     *("SignalConversion", "SignalSpecification", "Switch", "UnitDelay", "ZeroOrderHold", *DROPPED),
 )
 TAKES_SMALL = (
-    *(*TAKES_BUSES, *ARITHMETIC_RULES, "Demux", "Mux", "Concatenate", "Selector", "Merge", "MultiPortSwitch", "If"),
-    *(
-        *("Assignment", "Detect Change", "Detect Decrease", "Detect Fall Negative", "Detect Fall Nonpositive"),
-        *("Detect Increase", "Detect Rise Nonnegative", "Detect Rise Positive", "DiscreteIntegrator", "Gain"),
-        *(
-            "Interval Test",
-            "Logic",
-            "Lookup_n-D",
-            "LookupNDDirect",
-            "Product",
-            "Relay",
-            "Reshape",
-            "Sum",
-            "SwitchCase",
-            "UnaryMinus",
-        ),
-    ),
+    *(*TAKES_BUSES, *ARITHMETIC_RULES, *(name for name in RULES if name.startswith("Detect ")), "Assignment", "Demux"),
+    *("DiscreteIntegrator", "Gain", "If", "Interval Test", "Logic", "Lookup_n-D", "LookupNDDirect", "Merge", "Mux"),
+    *("MultiPortSwitch", "Product", "Relay", "Reshape", "Selector", "Sum", "SwitchCase", "UnaryMinus"),
 )
 """Types that take integers of 8 and 16 bits."""
 TAKES_MATRICES = ("BusAssignment", "BusCreator", "DiscreteIntegrator", "Integrator", *MATRIX_LINES, *DROPPED)
@@ -472,8 +458,8 @@ INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum
 INPUTS |= {"MultiPortSwitch": 4, "Merge": 2, "PID Controller (2DOF)": 2}
 INPUTS |= dict.fromkeys(
     ("Band-Limited White Noise", "Clock", "Constant", "Counter Free-Running", "Counter Limited", "DigitalClock",
-     "DiscretePulseGenerator", "Function-Call Generator", "Ground", "Ramp", "RandomNumber", "Repeating Sequence",
-     "Repeating Sequence Stair", "SignalGenerator", "Sin", "Step", "UniformRandomNumber", "DataStoreMemory",
-     "DataStoreRead"), 0,
+     "DiscretePulseGenerator", "Function-Call Generator", "Ground", "Ramp", "Random Source", "RandomNumber",
+     "Repeating Sequence", "Repeating Sequence Stair", "SignalGenerator", "Sin", "Step", "UniformRandomNumber",
+     "DataStoreMemory", "DataStoreRead"), 0,
 )  # fmt: skip
 """Inputs of a block of which the file does not say how many; of any other type one."""

@@ -304,11 +304,27 @@ def _noise(block: Callable[..., Block], seed: tuple[str, str], *given: tuple[str
     def rule(c: Asked) -> Made:
         c.notes.append("other random numbers of the same distribution")
         stream = zlib.crc32(f"{c.path}/{c.block.name}".encode())  # one of its own for each block
-        if (variance := c.scalar(*given[0])) < 0.0 and "Variance" in given[0]:
+        if (variance := c.scalar(*given[0])) < 0.0 and given[0][0].startswith("Var"):
             raise NotTranslated(f"Variance = {variance:g} is negative")
         return Made(block(*of(*(c.scalar(*one) for one in given)), int(c.scalar(*seed)) % 2**32, stream))
 
     return each(rule, seed[0], *(name for name, _ in given))
+
+
+def _spread(variance: float, mean: float) -> tuple[float, float]:
+    return math.sqrt(variance), mean
+
+
+_SOURCES = {
+    "Gaussian": _noise(Noise, ("rawSeed", "1"), ("VarVal", "1"), ("MeanVal", "0"), of=_spread),
+    "Uniform": _noise(UniformNoise, ("rawSeed", "1"), ("MinVal", "0"), ("MaxVal", "1")),
+}
+
+
+def _drawn(c: Asked) -> Made:
+    """Return DSP System Toolbox's source of real random numbers, one a sample."""
+    c.only(SampFrame="1", OutComplex="Real", IsInherit="off")
+    return _SOURCES[c.needs("SrcType", "Uniform", *_SOURCES)](c)
 
 
 # --- choices, tables and expressions
@@ -445,8 +461,7 @@ def _lookup(c: Asked) -> Made:
 def _direct_lookup(c: Asked) -> Made:
     """Return the element of a table whose places, from 0, are the inputs; the nearest one outside."""
     count, table = int(c.scalar("NumberOfTableDimensions", "2")), c.value("Table", "[4 5 6;16 19 20;10 18 23]")
-    c.needs("InputsSelectThisObjectFromTable", "Element", "Element")
-    c.needs("TableIsInput", "off", "off")
+    c.only(InputsSelectThisObjectFromTable="Element", TableIsInput="off")
     sizes = [table.size] if count == 1 else list(table.shape)
     if len(sizes) != count or len(c.inputs) != count:
         raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
@@ -552,9 +567,8 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Transfer Fcn First Order": _pole,
     "Transfer Fcn Lead or Lag": _pole,
     "Transfer Fcn Real Zero": _pole,
-    "RandomNumber": _noise(
-        Noise, ("Seed", "0"), ("Variance", "1"), ("Mean", "0"), of=lambda variance, mean: (math.sqrt(variance), mean)
-    ),
+    "Random Source": _drawn,
+    "RandomNumber": _noise(Noise, ("Seed", "0"), ("Variance", "1"), ("Mean", "0"), of=_spread),
     "UniformRandomNumber": _noise(UniformNoise, ("Seed", "0"), ("Minimum", "-1"), ("Maximum", "1")),
     "Unit Delay Enabled": _enabled_delay,
     "Wrap To Zero": lambda c: _wrap(c, c.scalar("Threshold", "255")),

@@ -200,8 +200,7 @@ def _discrete_integrator(c: Asked) -> Made:
 def _whole_accumulator(c: Asked, gain: float) -> Made:
     """Return the sum of whole numbers so far, which wraps around, or is held within the limits."""
     c.needs("IntegratorMethod", "Integration: Forward Euler", "Accumulation: Forward Euler")
-    for name, only in (("InitialConditionSource", "internal"), ("ShowSaturationPort", "off"), ("WrapState", "off")):
-        c.needs(name, only, only)
+    c.only(InitialConditionSource="internal", ShowSaturationPort="off", WrapState="off")
     edge, said, one = _edge(c), c.text("OutDataTypeStr", "Inherit: Inherit via internal rule"), c.inputs[0]
     kind = one.number if said.startswith("Inherit") else str(kind_of(said, c.names))
     control = c.inputs.pop(1) if edge else Signal("bool")
@@ -303,12 +302,8 @@ def _pid(c: Asked) -> Made:
     edge, limited = _edge(c), c.text("LimitOutput", "off") == "on"
     c.needs("LimitIntegratorOutput", "off", "off")
     windup = c.needs("AntiWindupMode", "none", "none", "back-calculation", "clamping") if limited else "none"
-    tracks, started, bounded = (
-        c.text(name, only) != only
-        for name, only in (
-            ("TrackingMode", "off"), ("InitialConditionSource", "internal"), ("SatLimitsSource", "internal")
-        )
-    )  # fmt: skip
+    tracks, bounded = c.text("TrackingMode", "off") != "off", c.text("SatLimitsSource", "internal") != "internal"
+    started = c.text("InitialConditionSource", "internal") != "internal"
     method = "forward" if continuous else c.pick("IntegratorMethod", "Forward Euler", dict(_METHODS))
     start = c.scalar("InitialConditionForFilter", "0")
     turned = not continuous and filtered and c.text("FilterMethod", "Forward Euler") == "Trapezoidal" and not start
@@ -375,12 +370,7 @@ def _pid(c: Asked) -> Made:
             terms.append(d.add("slope", Formula(of, [Signal()] * 2, Signal(), {"x": x}), u1=slope, u2=n))
     low, high = (c.scalar(f"{end}SaturationLimit", f"{sign}inf") for end, sign in (("Lower", "-"), ("Upper", "")))
     if "I" in kind and in_one:
-        wanted = {
-            "rate": rate,
-            "clear": clear,
-            "p": terms[0] if "P" in kind else "",
-            "n": terms[-1] if "D" in kind else "",
-        }
+        wanted = {"rate": rate, "clear": clear, "p": terms[0] * ("P" in kind), "n": terms[-1] * ("D" in kind)}
         wanted |= {"x0": "I0" * started, "high": "high" * bounded, "low": "low" * bounded, "TR": "TR" * tracks}
         ports = {name: source for name, source in wanted.items() if source}
         gains = {"back-calculation": c.scalar("Kb", "1"), "clamping": None, "none": None}
@@ -388,11 +378,8 @@ def _pid(c: Asked) -> Made:
         item = _integral_of_pid(c.dt, method, first, (low, high), windup, kb, list(ports))
         d.add("integral", item, inputs={f"u{k}": source for k, source in enumerate(ports.values(), start=1)})
         terms = [f"{one}.y" if one == "integral" else one for one in terms]
-    y = (
-        terms[0]
-        if len(terms) == 1
-        else d.add("sum", Sum("+" * len(terms)), inputs=dict(zip("abc", terms, strict=False)))
-    )
+    summed = dict(zip("abc", terms, strict=False))
+    y = terms[0] if len(terms) == 1 else d.add("sum", Sum("+" * len(terms)), inputs=summed)
     y = times("P", y, "1") if ideal else y
     if limited and bounded:
         within = Formula(
@@ -472,8 +459,7 @@ def _polynomial(c: Asked, name: str, default: str) -> list[Any]:
 
 
 def _transfer(c: Asked) -> Made:
-    for name in ("NumeratorSource", "DenominatorSource", "InitialStatesSource"):
-        c.needs(name, "Dialog", "Dialog")
+    c.only(NumeratorSource="Dialog", DenominatorSource="Dialog", InitialStatesSource="Dialog")
     top, bottom = _polynomial(c, "Numerator", "[1]"), _polynomial(c, "Denominator", "[1 2 1]")
     while len(bottom) > 1 and bottom[0] == 0.0:
         bottom = bottom[1:]
@@ -548,8 +534,7 @@ def _filters(c: Asked) -> Made:
 
 def _fir(c: Asked) -> Made:
     """Return a filter without a denominator."""
-    c.needs("CoefSource", "Dialog parameters", "Dialog parameters")
-    c.needs("FilterStructure", "Direct form", "Direct form")
+    c.only(CoefSource="Dialog parameters", FilterStructure="Direct form")
     values = {"Numerator": c.text("Coefficients", "[0.5 0.5]"), "Denominator": "1", "FilterStructure": "Direct form II"}
     return _filters(replace(c, values={**c.values, **values}))
 
@@ -589,14 +574,7 @@ def _integrator(c: Asked) -> Made:
 
 def _second_order(c: Asked) -> Made:
     """Return two integrators in a row: the position, and its rate."""
-    for name, only in {
-        "ICSourceX": "internal",
-        "ICSourceDXDT": "internal",
-        "LimitX": "off",
-        "LimitDXDT": "off",
-    }.items():
-        c.needs(name, only, only)
-    c.needs("ExternalReset", "none", "none")
+    c.only(ICSourceX="internal", ICSourceDXDT="internal", LimitX="off", LimitDXDT="off", ExternalReset="none")
     c.kind("real")
     d, signals = Diagram("second_order"), {"x": Signal("real", c.width), "rate": Signal("real", c.width)}
     d.input("u", width=c.width)

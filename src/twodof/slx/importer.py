@@ -312,7 +312,7 @@ class _Import(Wiring):
         found: dict[float, str] = {}
         for key, block in self.blocks.items():
             values = self._values(key)
-            wanted = "OutPortSampleTime" if block.type == "RateTransition" else "SampleTime"
+            wanted = {"RateTransition": "OutPortSampleTime", "Random Source": "SampTime"}.get(block.kind, "SampleTime")
             text = values.get(wanted, "1" if block.type in EVERY_SECOND else "-1")
             timed = block.type == "DiscretePulseGenerator" and values.get("PulseType", "Sample based") == "Time based"
             silent = timed or block.commented or block.type in (*DROPPED, *CONTROL_PORTS)

@@ -7,6 +7,7 @@ left to right, as MathWorks' C does it.
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -133,8 +134,29 @@ def _delay(c: Asked) -> tuple[str, dict[str, Value]]:
     return "persistent x\nif isempty(x)\n x = zeros(size(u1)) + X;\nend\ny = x;\nx = u1;", {"X": start}
 
 
+def _fixed(text: str, c: Asked) -> tuple[str, dict[str, Value]]:
+    return f"y = {text};", {}
+
+
+_VALUES = {
+    "3x3 Cross Product": "cross(u1, u2)",
+    "Abs": "abs(u1)",
+    "Create 3x3 Matrix": "[u1, u2, u3; u4, u5, u6; u7, u8, u9]",
+    "Create Diagonal Matrix": "diag(u1)",
+    "Determinant of 3x3 Matrix": "det(u1)",
+    "Invert 3x3 Matrix": "inv(u1)",
+    "Quaternion Conjugate": "quatconj(u1')'",
+    "Quaternion Inverse": "quatinv(u1')'",
+    "Quaternion Multiplication": "quatmultiply(u1', u2')'",
+    "Quaternion Normalize": "quatnormalize(u1')'",
+    "Quaternion Rotation": "quatrotate(u1', u2')'",
+    "Rod2Quat": "[1; u1] / sqrt(1 + sum(u1 .^ 2))",
+    "UnaryMinus": "-u1",
+    **dict.fromkeys(("SignalConversion", "SignalSpecification", "ZeroOrderHold"), "u1"),
+}
+"""What blocks without a dialog are. A quaternion of Aerospace Blockset is [w, x, y, z]."""
 MATRIX_LINES: Mapping[str, Line] = {
-    "Abs": lambda c: ("y = abs(u1);", {}),
+    **{name: partial(_fixed, text) for name, text in _VALUES.items()},
     "Assignment": _assignment,
     "Concatenate": _concatenate,
     "Gain": _gain,
@@ -144,9 +166,7 @@ MATRIX_LINES: Mapping[str, Line] = {
     "Reshape": _reshape,
     "Selector": _selector,
     "Sum": _sum,
-    "UnaryMinus": lambda c: ("y = -u1;", {}),
     "UnitDelay": _delay,
-    **dict.fromkeys(("SignalConversion", "SignalSpecification", "ZeroOrderHold"), lambda c: ("y = u1;", {})),
 }
 """Blocks that take matrices, or make them."""
 

@@ -16,7 +16,8 @@ from twodof.slx.composite_blocks import Formula
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, passes
 
-TOOLBOXES = ("ctrlSharedLib", "dspstat3", "dspbuff3", "dsppolyfun", "mcbcontrolslib")
+TOOLBOXES = ("aerolibutil", "ctrlSharedLib", "dspbuff3", "dspmtrx3", "dsppolyfun", "dspsrcs4", "dspstat3",
+             "mcbcontrolslib", "sharedutil")  # fmt: skip
 """Libraries of these blocks: of another block in them a file is looked for."""
 
 
@@ -42,8 +43,7 @@ def _median(c: Asked) -> Made:
 
 def _average(c: Asked) -> Made:
     """Return the mean of the last samples, which are 0 before the start, by sums forwards and backwards."""
-    c.needs("Method", "Sliding window", "Sliding window")
-    c.needs("SpecifyWindowLength", "on", "on")
+    c.only(Method="Sliding window", SpecifyWindowLength="on")
     if c.inputs[0].width is not None:
         raise NotTranslated("a mean of a vector is not translated")
     code = """function y = f(u, n)
@@ -63,8 +63,7 @@ def _average(c: Asked) -> Made:
 
 def _line(c: Asked) -> Made:
     """Return the last samples, the oldest first; with the present one where it feeds through."""
-    for name in ("enable_output", "hold_output"):
-        c.needs(name, "off", "off")
+    c.only(enable_output="off", hold_output="off")
     return _samples(c, int(c.scalar("siz", "64")), c.text("directfeed", "on") == "on", "w", "ic")
 
 
@@ -108,10 +107,8 @@ def _kalman(c: Asked) -> Made:
     only = {"TimeDomain": "Discrete-Time", "ModelSource": "Individual A, B, C, D matrices", "AddInputPort": "off"}
     for name, wanted in only.items():
         c.needs(name, "", wanted)
-    for name in ("UseK", "UseGH", "AddEnablePort", "OutputEstimatedY", "OutputP"):
-        c.needs(name, "off", "off")
-    c.needs("ExternalReset", "None", "None")
-    c.needs("TimeInvariantN", "on", "on")
+    c.only(UseK="off", UseGH="off", AddEnablePort="off", OutputEstimatedY="off", OutputP="off")
+    c.only(ExternalReset="None", TimeInvariantN="on")
     if c.value("N", "0").any() or c.inputs[0].width is not None:
         raise NotTranslated("noises that depend on one another, or several measurements, are not translated")
     ports = ["y", *(["x0", "P0"] if c.text("InitialEstimateSource", "Dialog") == "Input port" else [])]
@@ -156,9 +153,8 @@ _WITHIN = "r = min(max(r, 0), 1);"
 
 def _prelookup(c: Asked) -> Made:
     """Return the place of the input among breakpoints, from 0, and its share of the interval."""
-    for name, only in {"OutputSelection": "Index and fraction", "BreakpointsDataSource": "Dialog"}.items():
-        c.needs(name, only, only)
-    c.needs("BreakpointsSpecification", "Explicit values", "Explicit values")
+    c.only(OutputSelection="Index and fraction", BreakpointsDataSource="Dialog")
+    c.only(BreakpointsSpecification="Explicit values")
     kind = c.pick("IndexDataTypeStr", "uint32", {"uint32": "uint32", "int32": "int32"})
     within = c.pick("ExtrapMethod", "Clip", {"Clip": _WITHIN, "Linear": ""})
     code = f"function [n, r] = f(u, p)\n{_PLACE}\n{within}\nn = {kind}(k - 1);"
@@ -206,8 +202,7 @@ def _transformed(*each: Callable[..., Any], **only: str) -> Rule:
 
     def rule(c: Asked) -> Made:
         c.kind("real")
-        for name, wanted in {"PhaseInput": "Two inputs", **only}.items():
-            c.needs(name, wanted, wanted)
+        c.only(PhaseInput="Two inputs", **only)
         d = Diagram("transform")
         sources = {d.input(f"u{k}", width=one.width): f"u{k}" for k, one in enumerate(c.inputs, start=1)}
         for k, of in enumerate(each, start=1):

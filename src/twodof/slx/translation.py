@@ -110,6 +110,11 @@ class Asked:
             raise NotTranslated(f"{name} = {found!r} is not translated")
         return found
 
+    def only(self, **wanted: str) -> None:
+        """Raise NotTranslated for a choice that is another than the wanted one, which is the default too."""
+        for name, one in wanted.items():
+            self.needs(name, one, one)
+
     def pick(self, name: str, default: str, choices: dict[str, Any]) -> Any:
         """Return what a choice stands for."""
         return choices[self.needs(name, default, *choices)]
@@ -258,11 +263,8 @@ def of_elements(c: Asked, rule: Rule) -> Made:
         raise NotTranslated("its vector is not translated")
     d = Diagram("elements")
     d.add("each", Demux(width, one.number), u=d.input("u", one.kind, one.width))
-    d.add(
-        "y",
-        made.item,
-        inputs=dict(zip(names_of(made.item), (f"each.{name}" for name in port_series(width)), strict=True)),
-    )
+    elements = [f"each.{name}" for name in port_series(width)]
+    d.add("y", made.item, inputs=dict(zip(names_of(made.item), elements, strict=True)))
     d.output("y", "y")
     return Made(d, made.outputs)
 
