@@ -444,7 +444,8 @@ def _limited(problem: Problem) -> Iterator[str]:
         if held.mean() >= _LIMITED and beside.size > 1 and np.mean(np.diff(beside) != 0.0) > 0.5:
             yield (
                 f"{block.output} lies at {' and '.join(f'{end:.4g}' for end in ends)} in {100.0 * held.mean():.0f} % "
-                f"of '{problem.records[block.record].name}': if that is its limit, the model lacks it; excite it less"
+                f"of '{problem.records[block.record].name}': if that is a limit, the structure needs it too; or excite "
+                "it less"
             )
 
 
