@@ -143,6 +143,14 @@ def event(number: int, name: str) -> str:
     return f'<event SSID="{number}">{typed}</event>'
 
 
+def test_an_event_that_is_an_edge_turns_its_output_once_a_tick(tmp_path: Path) -> None:
+    """Those that are sent beside it wait for the ticks after it, as in MathWorks' code."""
+    event = '<event name="E"><P Name="scope">OUTPUT_EVENT</P><P Name="trigger">EITHER_EDGE_EVENT</P></event>'
+    parts = state(1, "A") + way(11, None, 1) + way(12, 1, 1, "[u > 0]{send(E);}/if v > 0, send(E); end") + event
+    got = flown(chart(tmp_path, parts, outputs=("E",)), [1.0, 1, 0, 1, 1, 0, 0, 0], [0.0, 0, 0, 1, 1, 0, 0, 0])
+    assert got["y_E"].tolist() == [False, True, True, False, True, False, True, True]
+
+
 def test_a_state_acts_at_once_on_an_event_sent_to_it(tmp_path: Path) -> None:
     sender = [
         state(11, f"Idle\nentry: {said(1)} send(E, Other);"),

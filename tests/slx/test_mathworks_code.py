@@ -261,6 +261,7 @@ READING = """
 #include <cstdio>
 #include <cstring>
 #include "{name}.h"
+{constants}
 static float given[2];
 namespace std {{ float given_sin(float) {{ return given[0]; }} float given_cos(float) {{ return given[1]; }} }}
 int main() {{
@@ -290,6 +291,8 @@ class Filter:
     step: str
     commit: str = "b42992119"
     period: float = 0.001
+    constants: str = ""
+    """Of the C++, those that its own code leaves to another file."""
 
 
 FILTERS = {
@@ -326,6 +329,30 @@ FILTERS = {
              m.status.pwm_fbk, (float) m.status.flags.ExternalFaultAsserted,
              (float) m.status.flags.OverCurrentFailure, (float) s.foc, (float) s.status};
            memcpy(out, now, sizeof now);""", "d8e5c72e7",
+    ),
+    "edges": Filter(
+        "SupervisorFSM_TX", "boards/amcbldc_legacy/supervisor", ("amcbldc/supervisor-tx", "amcbldc/sharedutils"),
+        "7.4", "", 8, 9, "static BUS_MESSAGES_TX m; BUS_STATUS_TX s; SupervisorFSM_TX_Init(&m);",
+        """SensorsData d = {}; EstimatedData e = {}; Flags f = {}; ControlOutputs o = {};
+           f.enable_sending_msg_status = in[0] > 0; f.control_mode = (ControlModes) (int) in[1];
+           f.fault_button = in[2] > 0; f.overcurrent = in[3] > 0; e.Iq_filtered.current = in[4];
+           e.jointvelocities.velocity = in[5]; d.jointpositions.position = in[6]; o.Vq = in[7];
+           SupervisorFSM_TX(&d, &e, &f, &o, &m, &s);
+           float now[] = {m.foc.current, m.foc.velocity, m.foc.position, (float) m.status.control_mode,
+             m.status.pwm_fbk, (float) m.status.flags.ExternalFaultAsserted,
+             (float) m.status.flags.OverCurrentFailure, (float) s.foc, (float) s.status};
+           memcpy(out, now, sizeof now);""", "b819124cb",
+    ),
+    "packets": Filter(
+        "can_encoder", "boards/amcbldc/messaging", ("amcbldc/can-encoder", "amcbldc/sharedutils"), "9.1", "", 9, 44, "",
+        """BUS_MESSAGES_TX m = {}; BUS_STATUS_TX s = {in[0] > 0, in[1] > 0}; BUS_CAN_MULTIPLE p; float *to = out;
+           m.status.control_mode = (MCControlModes) (int) in[2]; m.status.flags.ExternalFaultAsserted = in[3] > 0;
+           m.status.flags.OverCurrentFailure = in[4] > 0; m.foc.current = in[5]; m.foc.velocity = in[6];
+           m.foc.position = in[7]; m.status.pwm_fbk = in[8]; can_encoder(&m, &s, &p);
+           for (const BUS_CAN &c : p.packets) {
+             *to++ = c.available; *to++ = c.length; *to++ = c.packet.ID;
+             for (uint8_T one : c.packet.PAYLOAD) *to++ = one;
+           }""", "b481fc47a", constants="uint8_T CAN_ID_AMC = 3; real32_T CAN_ANGLE_DEG2ICUB = 65536.0F / 360.0F;",
     ),
     "currents": Filter(
         "control_foc", "boards/common/models/motion_control/control",
@@ -367,7 +394,8 @@ def by_cpp(one: Filter, inputs: np.ndarray, made: Path) -> np.ndarray:
     folders = [taken("robotology+icub-firmware", one.commit, f"{CPP}/{folder}", made) for folder in one.folders]
     text = (folders[0] / f"{one.name}.cpp").read_text("utf-8")
     assert re.search(rf"Model version\s*: {one.version}$", text, re.MULTILINE)
-    driver = READING.format(name=one.name, start=one.start, step=one.step, inputs=one.inputs, outputs=one.outputs)
+    driver = READING.format(name=one.name, start=one.start, step=one.step, inputs=one.inputs, outputs=one.outputs,
+                            constants=one.constants)  # fmt: skip
     (made / "driver.cpp").write_text(driver, encoding="utf-8")
     sources = [
         *sorted(folders[0].glob("*.cpp")),
@@ -375,7 +403,7 @@ def by_cpp(one: Filter, inputs: np.ndarray, made: Path) -> np.ndarray:
             at
             for folder in folders[1:]
             for name in ("rt_hypotf.cpp", "const_params.cpp")
-            if (at := folder / name).exists()
+            if (at := folder / name).exists() and "mw_cmsis" not in at.read_text("utf-8")
         ),
     ]
     (made / "sines.h").write_text(SINES, encoding="utf-8")
@@ -393,7 +421,7 @@ def filter_of(one: Filter, made: Path) -> CompiledMachine:
     assert model.version == one.version
     assert run(one.script, names) == []
     beside = sorted({path.parent for end in ("sldd", "m") for path in (Path(REPOS) / ICUB).rglob(f"*.{end}")
-                     if "legacy" not in str(path)})  # fmt: skip
+                     if ("legacy" in str(path)) == ("legacy" in one.model)})  # fmt: skip
     found = import_system(model, "", names, [folder, *beside], one.period)
     assert found.diagram is not None, found.refused
     return build(found.diagram, dt=one.period, precision="float32").machine()
@@ -505,22 +533,53 @@ MESSAGES = ("foc.current", "foc.velocity", "foc.position", "status.control_mode"
             "status.flags.ExternalFaultAsserted", "status.flags.OverCurrentFailure")  # fmt: skip
 
 
-def test_a_chart_in_c_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
-    """Parallel states, a function in MATLAB's language, outputs of buses that begin anew at each tick."""
-    one, draw = FILTERS["messages"], np.random.default_rng(8)
+MESSAGES_BITS = ("control_mode", "flags.ExternalFaultAsserted", "flags.OverCurrentFailure")
+MESSAGES_REALS = ("foc.current", "foc.velocity", "foc.position", "status.pwm_fbk")
+LEGACY = {
+    "ExternalFlags_fault_button": "Flags.fault_button",
+    "Flags.hw_faults.overcurrent": "Flags.overcurrent",
+    "EstimatedData.Iq_filtered": "EstimatedData.Iq_filtered.current",
+    "SensorsData.position": "SensorsData.jointpositions.position",
+    "EstimatedData.velocity": "EstimatedData.jointvelocities.velocity",
+}
+
+
+@pytest.mark.parametrize(("kind", "other"), [("messages", {}), ("edges", LEGACY)])
+def test_a_chart_in_c_has_the_bits_of_mathworks_code(tmp_path: Path, kind: str, other: dict[str, str]) -> None:
+    """Parallel states, a function in MATLAB's language, outputs of buses that begin anew, and events that are edges."""
+    one, draw = FILTERS[kind], np.random.default_rng(8)
     whole = [drawn(ctypes.c_uint8, 1, STEPS, (0, n), draw) for n in (2, 8, 2, 2)]
     inputs = np.hstack([*whole, drawn(ctypes.c_float, 4, STEPS, (0, 0), draw)])
     wanted, machine, found = by_cpp(one, inputs, tmp_path), filter_of(one, tmp_path), []
     zero = {path: 0 for path in machine.inputs if machine.inputs[path].width is None}
     for row in inputs:
         u = {"Flags.enable_sending_msg_status": bool(row[0]), "Flags.control_mode": int(row[1]),
-             "ExternalFlags_fault_button": row[2], "Flags.hw_faults.overcurrent": bool(row[3]),
+             "ExternalFlags_fault_button": int(row[2]), "Flags.hw_faults.overcurrent": bool(row[3]),
              "EstimatedData.Iq_filtered": row[4], "EstimatedData.velocity": row[5], "SensorsData.position": row[6],
              "ControlOutputs.Vq": row[7]}  # fmt: skip
-        got = flat(machine.step({**zero, **u}))
+        got = flat(machine.step({**zero, **{other.get(name, name): value for name, value in u.items()}}))
         found.append([got[f"MessagesTx.{name}"] for name in MESSAGES] + [got["StatusTx.foc"], got["StatusTx.status"]])
     assert np.array_equal(np.array(found, np.float32), wanted)
-    assert len(set(map(tuple, wanted[:, 3:4].tolist()))) > 4
+    assert len(set(map(tuple, wanted[:, 3:4].tolist()))) >= 4
+
+
+def test_an_array_of_buses_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
+    """Four packets whose bytes two MATLAB Functions put together."""
+    one, draw = FILTERS["packets"], np.random.default_rng(14)
+    whole = [drawn(ctypes.c_uint8, 1, STEPS, (0, n), draw) for n in (2, 2, 8, 2, 2)]
+    inputs = np.hstack([*whole, 20.0 * drawn(ctypes.c_float, 4, STEPS, (0, 0), draw)]).astype(np.float32)
+    flags = [f"messages_tx.status.{name}" for name in MESSAGES_BITS]
+    names = ["status_tx.foc", "status_tx.status", *flags, *(f"messages_tx.{name}" for name in MESSAGES_REALS)]
+    wanted, machine, found = by_cpp(one, inputs, tmp_path), filter_of(one, tmp_path), []
+    zero = dict.fromkeys(machine.inputs, 0)
+    for row in inputs:
+        given = [*map(int, row[: len(whole)]), *row[len(whole) :]]
+        u = dict(zip(names, given, strict=True))
+        got = flat(machine.step({**zero, **u}))
+        parts = [got[f"pck_tx.packets.{name}"] for name in ("available", "length", "packet.ID", "packet.PAYLOAD")]
+        found.append(np.hstack([np.reshape(one, (4, -1)) for one in parts]).ravel())
+    assert np.array_equal(np.array(found, np.float32), wanted)
+    assert (np.ptp(wanted[:, :22], axis=0) > 0.0).sum() >= 14
 
 
 # --- one block each, of a suite of test cases: signals are global variables, and rates are functions of their own

@@ -139,6 +139,8 @@ class _Chart:
         self.data: list[Form] = []
         self.calls: list[str] = []
         """The events by which it calls subsystems: outputs that are true in the tick of the call."""
+        self.edges: list[str] = []
+        """The events that are edges of an output: one a tick, and the others in the ticks after it."""
         self.events: list[str] = []
         """Its local events."""
         self.event = ""
@@ -196,9 +198,11 @@ class _Chart:
                 self.junctions.add(part["id"])
             elif part["tag"] == "event":
                 name, scope = values.get("name", part["name"]), values.get("scope")
-                if scope != "LOCAL_EVENT" and (scope, values.get("trigger")) != ("OUTPUT_EVENT", "FUNCTION_CALL_EVENT"):
+                kinds = {"FUNCTION_CALL_EVENT": self.calls, "EITHER_EDGE_EVENT": self.edges}
+                found = kinds.get(values.get("trigger", "")) if scope == "OUTPUT_EVENT" else None
+                if scope != "LOCAL_EVENT" and found is None:
                     raise NotTranslated(f"the event {name} is not translated")
-                (self.events if scope == "LOCAL_EVENT" else self.calls).append(name)
+                (self.events if found is None else found).append(name)
             elif part["tag"] == "data" and values.get("scope") == "CONSTANT_DATA":
                 alike = [one for one in self.data if one["name"] == part["name"] and one["values"] == values]
                 self.data += [] if alike else [part]  # states may hold the same constant
@@ -236,13 +240,19 @@ class _Chart:
         self._read(part, made, depth + 1)
 
     def _with_calls(self) -> None:
-        """Write a call of a subsystem as an assignment."""
-        if not self.calls:
+        """Write a call of a subsystem, or an edge of an output, as an assignment."""
+        if not self.calls and not self.edges:
             return
-        self.notes.append(f"{', '.join(self.calls)}: what is called acts once in a tick, after the chart")
-        names = "|".join(self.calls)
+        if self.calls:
+            self.notes.append(f"{', '.join(self.calls)}: what is called acts once in a tick, after the chart")
+        names = "|".join((*self.calls, *self.edges))
         call = re.compile(rf"\bsend\s*\(\s*({names})\s*\)|(?<![\w.])({names})(?:\s*\(\s*\))?(?=\s*(?:[;,\n]|$))")
-        made = partial(call.sub, lambda found: f"{found[1] or found[2]} = true")
+
+        def written(found: re.Match[str]) -> str:
+            name = found[1] or found[2]
+            return f"{name} = true" if name in self.calls else f"due_{name} = due_{name} + 1"
+
+        made = partial(call.sub, written)
         for way in self._ways():
             way.action, way.at_end = made(way.action), made(way.at_end)
         for state in self.states.values():
@@ -294,9 +304,9 @@ class _Chart:
                 known[name] = number(known[name])
             elif scope != "INPUT_DATA":
                 raise NotTranslated(f"the data {name} with {scope} is not translated")
-        for name in self.calls:
+        afresh += self.calls
+        for name in (*self.calls, *self.edges):
             kept.append(name)
-            afresh.append(name)
             declared[name], known[f"initial_{name}"] = "bool", np.zeros((1, 1), bool)
         if missing := [name for name in outputs if name not in kept]:
             raise NotTranslated(f"the output {missing[0]} is not in the chart's data")
@@ -306,7 +316,7 @@ class _Chart:
         for one in self.functions:
             functions += self._block(lambda one=one: self._function(one, known, declared))  # type: ignore[misc]
         containers = [one for one in (self.root, *self.states.values()) if one.children and not one.parallel]
-        memory = [*(one.active for one in containers), *self.clocks]
+        memory = [*(one.active for one in containers), *self.clocks, *(f"due_{name}" for name in self.edges)]
         head = [f"function [{', '.join(outputs)}] = chart({', '.join(inputs)})"]
         values = [f"{at}_{name}" for name in self.watched for at in ("before", "start")]
         head += [f"persistent {' '.join([*kept, *memory, *values, 'was_entered'])}", "if isempty(was_entered)"]
@@ -325,7 +335,9 @@ class _Chart:
                 raise NotTranslated("it executes at initialization, with after() or with inputs in its entry")
             middle = [("end", ""), ("if true", ""), *again, *step]
         unread = {f"{one.since} = 0;" for one in self.states.values()} - {f"{name} = 0;" for name in self.clocks}
-        text = [*((line, "") for line in head), *first, *middle, ("end", ""), ("end", "")]
+        edges = [f"if due_{name} > 0\n{name} = ~{name};\ndue_{name} = due_{name} - 1;\nend" for name in self.edges]
+        ends = [(line, "") for one in ("end", *edges, "end") for line in one.splitlines()]
+        text = [*((line, "") for line in head), *first, *middle, *ends]
         text = [one for one in text if one[0] not in unread]
         text += functions
         text += [(line, "a function in it") for script in self.scripts for line in [*script.splitlines()]]
