@@ -324,7 +324,7 @@ def test_a_function_behind_a_decided_condition_is_not_called(
     assert got["y_n"].tolist() == counted
 
 
-IN_C = '<P Name="name">chart</P><P Name="actionLanguage">0</P>'
+IN_C = '<P Name="name">chart</P><P Name="actionLanguage">1</P>'  # & and | are of bits
 
 
 def test_actions_in_c_count_and_compare(tmp_path: Path) -> None:
@@ -347,10 +347,10 @@ def test_actions_in_c_count_and_compare(tmp_path: Path) -> None:
         ("{log = u ? 1 : 2;}", "'? 1 : 2;' in C is not translated"),
         ("{log = f(u);}", "f is a function in C"),
         ("{log = 1/2;}", "the quotient of 1 and 2 is whole in C"),
-        ("{++log;}", "++ before a name in C"),
+        ("{log = 1 + log++;}", "in C is not translated"),
         ("{k = 6/k;}", "a quotient of whole numbers in C by another number than a literal"),
         ("[log = 1]", "an assignment in a condition"),
-        ("[u == v < 1]", "== beside < in C"),
+        ("{log = ~u;}", "'~' in C is not translated"),
         ("{k = u;}", "real in uint8 has other rules in C"),
     ],
 )
@@ -392,14 +392,16 @@ WHOLE = {"a": "uint8", "b": "int8", "c": "uint16", "d": "int16", "e": "int32"}
 
 
 def drawn_c(draw: random.Random, depth: int = 3) -> str:
-    """A random expression of C: whole numbers, casts, shifts, and quotients by literals."""
+    """A random expression of C: whole numbers, casts, bits, comparisons, and quotients by literals."""
     names, inner = [*WHOLE], lambda: drawn_c(draw, depth - 1)
+    operators = ("+", "-", "*", "&", "|", "==", "!=", "<", ">=", "&&", "||")
     if depth == 0 or draw.random() < 0.2:
-        return draw.choice([*names, str(draw.randrange(400)), f"({draw.choice(names)} >> {draw.randrange(9)})"])
+        return draw.choice([*names, str(draw.randrange(400)), f"0x{draw.randrange(400):X}"])
     return draw.choice([
-        lambda: f"{inner()} {draw.choice('+-*')} {inner()}", lambda: f"({inner()} {draw.choice('+-')} {inner()})",
+        lambda: f"{inner()} {draw.choice(operators)} {inner()}", lambda: f"({inner()} {draw.choice('+-')} {inner()})",
         lambda: f"({inner()}) / {draw.randrange(1, 90)}", lambda: f"{draw.choice([*WHOLE.values()])}({inner()})",
-        lambda: f"-({inner()})",
+        lambda: f"-({inner()})", lambda: f"!{draw.choice(names)}", lambda: f"({inner()} >> {draw.randrange(9)})",
+        lambda: f"({draw.randrange(9)} << ({draw.choice(names)} & 7))",
     ])()  # fmt: skip
 
 
@@ -408,7 +410,8 @@ def test_whole_numbers_in_c_are_those_of_a_compiler(tmp_path: Path, seed: int) -
     """What GCC gives where numbers wrap around: 30 ticks of ten random assignments."""
     toolchains.need("gcc")
     draw = random.Random(seed)
-    text = "\n".join(f"{draw.choice([*WHOLE])} = {drawn_c(draw)};" for _ in range(10))
+    lines = (f"{draw.choice([*WHOLE])} {draw.choice(('=', '=', '+=', '-=', '*='))} {drawn_c(draw)};" for _ in range(10))
+    text = "\n".join([*lines, "a++; --b;"])
     settings = f'{IN_C}<P Name="saturateOnIntegerOverflow">0</P>'
     held = [data(name, "OUTPUT", kind, str(7 + 5 * k)) for k, (name, kind) in enumerate(WHOLE.items())]
     parts = state(1, f"A\nduring:\n{text}") + way(11, None, 1)

@@ -125,6 +125,7 @@ class _Chart:
             if form["values"].get(setting, next(iter(known))) not in known:
                 raise NotTranslated(why)
         self.in_c = form["values"].get("actionLanguage", "") != "2"
+        self.bits = form["values"].get("actionLanguage", "") == "1"
         self.wraps = form["values"].get("saturateOnIntegerOverflow", "0") == "0"
         self.afresh = form["values"].get("initializeOutput", "0") == "1"
         self.names, self.dt = names, dt
@@ -260,17 +261,19 @@ class _Chart:
 
     def _from_c(self) -> None:
         """Write conditions and actions in C as in MATLAB's language."""
-        functions = {one.name for one in self.functions} | {"send"}
+        functions = {one.name for one in self.functions}
+        functions |= {name for name, value in self.names.items() if isinstance(value, Members)}
         for way in self._ways():
             if way.condition and re.search(r"(?<![=!<>~])=(?!=)", way.condition):
                 raise NotTranslated(f"{_shown(way)}: an assignment in a condition")
             owner = _shown(way)
             way.condition, way.action, way.at_end = (
-                matlab_of(text, functions, self.exact, owner) for text in (way.condition, way.action, way.at_end)
+                matlab_of(text, functions, self.exact, self.bits, owner)
+                for text in (way.condition, way.action, way.at_end)
             )
         for state in self.states.values():
             for name, text in state.actions.items():
-                state.actions[name] = matlab_of(text, functions, self.exact, f"{name} of {state.name}")
+                state.actions[name] = matlab_of(text, functions, self.exact, self.bits, f"{name} of {state.name}")
 
     def _ways(self) -> Iterator[_Way]:
         for state in (self.root, *self.states.values(), *self.functions):

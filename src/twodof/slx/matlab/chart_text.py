@@ -1,7 +1,7 @@
 """What is written in a chart: the actions of a state, the label of a transition, C as MATLAB's language."""
 
 import re
-from itertools import pairwise
+from collections.abc import Set
 
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.slx.model import collapsed
@@ -17,61 +17,145 @@ AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
 SEND = re.compile(r"\bsend\s*\(\s*(\w+)\s*(?:,\s*([\w.]+)\s*)?\)\s*;?")
 _EVENTS = re.compile(r"(?:[A-Za-z]\w*(?:\s*\|\s*[A-Za-z]\w*)*)?")
 _C = re.compile(
-    r"(?P<space>\s+|\.\.\.\s*)|(?P<name>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?(?!\w)|\.\d+)"
-    r"|(?P<operator>\+\+|--|[-+*/]=|==|!=|~=|<=|>=|>>|&&|\|\||[-+*/!<>=();,\[\].])"
+    r"(?P<name>[A-Za-z_]\w*)|(?P<number>0[xX][0-9a-fA-F]+(?!\w)|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[fF]?(?!\w))"
+    r"|(?P<operator>\+\+|--|<<|>>|[-+*/=!<>~]=|&&|\|\||[-+*/!<>=~&|();,\[\].])"
 )
-_PLACE_OF = r"([\w.]+(?:\([^()]*(?:\(\d+\)[^()]*)*\))?){}"
-"""A name, perhaps with an index, and what stands behind it."""
-_SAME_IN_C = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "abs", "true", "false", *INTEGER_TYPES}
+_SPACE = re.compile(r"(?:\s|\.\.\.)*")
+_BINARY = (("||",), ("&&",), ("|",), ("&",), ("==", "!=", "~="), ("<", "<=", ">", ">="), ("<<", ">>"), ("+", "-"),
+           ("*", "/"))  # fmt: skip
+"""Operators of C from those that bind last to those that bind first."""
+_SAME_IN_C = {"abs", "true", "false", "single", "double", "boolean", *INTEGER_TYPES}
 """Functions that mean the same in C and in MATLAB's language."""
-_PLAIN_NUMBERS = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo"}
-"""Calls whose literals keep their form."""
+_PLAIN = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "send"}
+"""Calls whose arguments keep their form."""
 
 
-def matlab_of(text: str, functions: set[str], exact: bool, owner: str) -> str:
+def matlab_of(text: str, functions: Set[str], exact: bool, bits: bool, owner: str) -> str:
     """Return an action or a condition of C in MATLAB's language; `functions` are those of the chart.
 
     Unless `exact`, numbers may be whole: then a literal without a point is one of int32, as in C, and the program that
-    carries it out computes as C does. Raises NotTranslated where the two languages differ otherwise.
+    carries it out computes as C does. With `bits`, & and | are of bits. Raises NotTranslated for what is not read.
     """
-    tokens, at = list[str](), 0
-    while at < len(text):
-        found = _C.match(text, at)
-        if found is None:
-            raise NotTranslated(f"{owner}: {text[at : at + 12]!r} in C is not translated")
-        tokens.append(found[0])
-        at = found.end()
-    exact = exact and INTEGER_TYPES.keys().isdisjoint(tokens)
-    solid = [k for k, one in enumerate(tokens) if one.strip(" .\t\n") or one == "."]
-    words = [tokens[k] for k in solid]
-    calls = list[str]()
-    for k, (one, after) in enumerate(pairwise([*words, ""])):
-        before = words[k - 1] if k else ""
-        if after == "(" and one.isidentifier() and one not in functions | _SAME_IN_C and before != ".":
-            raise NotTranslated(f"{owner}: {one} is a function in C, or one that the chart does not have")
-        if one in ("++", "--") and not before.isidentifier() and before != "]":
-            raise NotTranslated(f"{owner}: {one} before a name in C is not translated")
-        if one in ("if", "for", "while", "return", "ml") or (after == "(" and before == "." and one.isidentifier()):
-            raise NotTranslated(f"{owner}: {one} in C is not translated")
-        if exact and one == "/" and before.isdigit() and after.isdigit():
-            raise NotTranslated(f"{owner}: the quotient of {before} and {after} is whole in C")
-        # All but these bind before a shift.
-        alone = {*words[max(k - 2, 0) : k - 1], *words[k + 2 : k + 3]} <= {"=", "(", ")", ",", ";", "&&", "||"}
-        shift = one == ">>" and not (alone and before.isidentifier() and after.isdigit())
-        if one in ("/=", "*=") or (one == "[" and before == "]") or shift:
-            raise NotTranslated(f"{owner}: {one!r} in C is not translated")
-        calls += [before] if one == "(" else []
-        calls = calls[:-1] if one == ")" else calls
-        if one.isdigit() and not exact and not {*calls} & _PLAIN_NUMBERS:
-            tokens[solid[k]] = f"int32({one})"
-    if re.search(r"[=!]=[^&|()]*[<>]|[<>][^&|()]*[=!]=", text):
-        raise NotTranslated(f"{owner}: == beside < in C is not translated")
-    step = "1" if exact else "int32(1)"
-    forms = {"!": "~", "!=": "~=", "[": "(", "]": f" + {step})"}  # an index is from 0 on
-    made = "".join(forms.get(one, one) for one in tokens)
-    made = re.sub(r"(\w+)\s*>>\s*int32\((\d+)\)", r"bitshift(\1, -\2)", made)
-    made = re.sub(_PLACE_OF.format(r"\s*(\+\+|--)"), lambda m: f"{m[1]} = {m[1]} {m[2][0]} {step}", made)
-    return re.sub(_PLACE_OF.format(r"\s*([-+])=\s*([^;,\n]*)"), r"\1 = \1 \2 (\3)", made)
+    return _Translation(text, functions, exact, bits, owner).statements()
+
+
+class _Translation:
+    """Reader of C that writes MATLAB's language."""
+
+    def __init__(self, text: str, functions: Set[str], exact: bool, bits: bool, owner: str) -> None:
+        self.functions, self.bits, self.owner = functions, bits, owner
+        self.tokens, at = list[str](), 0
+        while (at := _end(_SPACE, text, at)) < len(text):
+            found = _C.match(text, at)
+            self.tokens.append(text[at:] if found is None else found[0])
+            at = len(text) if found is None else found.end()
+        self.at = 0
+        self.exact = exact and INTEGER_TYPES.keys().isdisjoint(self.tokens)
+        self.one = "1" if self.exact else "int32(1)"
+
+    @property
+    def here(self) -> str:
+        """The next token, "" at the end."""
+        return self.tokens[self.at] if self.at < len(self.tokens) else ""
+
+    def taken(self, *texts: str) -> str:
+        """Pass one of these tokens and return it; "" where another one stands."""
+        found = self.here if self.here in texts else ""
+        self.at += found != ""
+        return found
+
+    def refused(self, said: str) -> NotTranslated:
+        return NotTranslated(f"{self.owner}: {said} in C is not translated")
+
+    def need(self, text: str) -> None:
+        if not self.taken(text):
+            raise self.refused(repr(self.here[:12]))
+
+    def statements(self) -> str:
+        found = list[str]()
+        while self.here:
+            if not self.taken(";", ","):
+                found.append(self._statement())
+        return ";\n".join(found) if len(found) < 2 else ";\n".join((*found, ""))
+
+    def _statement(self) -> str:
+        before, start = self.taken("++", "--"), self.at
+        if self.here.isidentifier():
+            self.at += 1
+            place = self._place(self.tokens[start])
+            if step := self.taken("++", "--") or before:
+                return f"{place} = {place} {step[0]} {self.one}"
+            if operator := self.taken("=", "+=", "-=", "*=", "/="):
+                value = self._binary(0)
+                return f"{place} = {value}" if operator == "=" else f"{place} = {place} {operator[0]} ({value})"
+        self.at = start
+        return self._binary(0)
+
+    def _binary(self, level: int) -> str:
+        """Read operations of this level, and of those that bind before it."""
+        if level == len(_BINARY):
+            return self._unary()
+        left = self._binary(level + 1)
+        while operator := self.taken(*_BINARY[level]):
+            right = self._binary(level + 1)
+            if operator == "/" and self.exact and left.isdigit() and right.isdigit():
+                raise NotTranslated(f"{self.owner}: the quotient of {left} and {right} is whole in C")
+            if operator in ("<<", ">>"):
+                left = f"bitshift({left}, {'-' * (operator == '>>')}{right})"
+            elif operator in ("&", "|") and self.bits:
+                left = f"bit{'and' if operator == '&' else 'or'}({left}, {right})"
+            else:
+                left = f"({left} {({'!=': '~=', '&': '&&', '|': '||'}).get(operator, operator)} {right})"
+        return left
+
+    def _unary(self) -> str:
+        if sign := self.taken("-", "+", "!", "~"):
+            if sign == "~" and self.bits:
+                raise self.refused("'~'")
+            return f"{'~' if sign == '!' else sign}{self._unary()}"
+        if self.taken("("):
+            made = self._binary(0)
+            self.need(")")
+            return f"({made})"
+        found, token = _C.fullmatch(self.here), self.here
+        self.at += 1
+        if found is None or found["operator"]:
+            raise self.refused(repr(token[:12]))
+        if found["number"]:
+            whole = token.isdigit() or token[:2] in ("0x", "0X")
+            number = str(int(token, 0 if token[1:2] in ("x", "X") else 10)) if whole else token.rstrip("fF")
+            return f"int32({number})" if whole and not self.exact else number
+        return self._place(token)
+
+    def _place(self, name: str) -> str:
+        """Read what stands behind a name: a call's arguments, or indices, from 0 on, and fields."""
+        if self.here == "(" and name in _PLAIN:
+            at, self.at = self.at, self.tokens.index(")", self.at) + 1
+            return f"{name}{''.join(self.tokens[at : self.at])}"
+        if self.here == "(" and name not in self.functions | _SAME_IN_C:
+            raise NotTranslated(f"{self.owner}: {name} is a function in C, or one that the chart does not have")
+        made = name
+        while step := self.taken("(", "[", "."):
+            inside = list[str]()
+            if step == ".":
+                made = f"{made}.{self.here}"
+                self.at += 1
+                if self.here == "(":
+                    raise self.refused(made)
+                continue
+            while not self.taken(")", "]"):
+                inside.append(self._binary(0) if step == "(" else f"{self._binary(0)} + {self.one}")
+                if not self.taken(",") and self.here not in (")", "]"):
+                    raise self.refused(repr(self.here[:12]))
+                if step == "[" and self.tokens[self.at : self.at + 2] == ["]", "["]:
+                    self.at += 2
+            made = f"{made}({', '.join(inside)})"
+        return made
+
+
+def _end(pattern: re.Pattern[str], text: str, at: int) -> int:
+    found = pattern.match(text, at)
+    return at if found is None else found.end()
 
 
 def actions_of(text: str, state: str) -> dict[str, str]:

@@ -30,6 +30,7 @@ from twodof.slx.matlab.values import (
     MOST_ELEMENTS,
     Array,
     Cells,
+    Members,
     NotComputed,
     Value,
     as_array,
@@ -379,7 +380,7 @@ class Program:
             case "signs":
                 value = self.value(tree.parts[0])
                 for sign in reversed(tree.text):
-                    whole = self.wraps is not None and sign == "-" and class_of(as_array(value)) in INTEGER_TYPES
+                    whole = self.wraps is not None and sign == "-" and class_of(as_array(value)) != "real"
                     zero = np.zeros((1, 1), np.int32)
                     value = self._apply("-", zero, value) if whole else as_array(value)
                     value = value if whole or sign == "+" else signed(sign, value)
@@ -425,6 +426,8 @@ class Program:
         """Return an element or a field of a value."""
         if step.kind == "(":
             given = self.arguments(step.parts, value)
+            if isinstance(value, Members) and self.wraps is not None:
+                return _of_kind(given[0], "int32", self.wraps)
             return value(self, given) if callable(value) else indexed(value, given)
         if step.kind == "{":
             if not isinstance(value, Cells) or len(step.parts) > 2:
@@ -533,6 +536,8 @@ class Program:
             return held(self, arguments, count)
         if self.wraps is not None and name in INTEGER_TYPES:  # a cast
             return _of_kind(arguments[0], name, self.wraps)
+        if self.wraps is not None and name in ("bitand", "bitor", "bitshift"):
+            name, *arguments = operation_in_c(name, *arguments, self.wraps)
         if name == "single" or "single" in [one for one in arguments if isinstance(one, str)]:
             self.code.notes.append("single: computed in the precision of the build")
         code, function = self.code, self.code.functions.get(name)

@@ -166,12 +166,13 @@ OPERATORS: dict[str, Callable[..., Array]] = {
 def in_c(operator_: str, left: Value, right: Value, wraps: bool) -> tuple[str, Value, Value]:
     """Return an operation of C as one of `OPERATORS`, with its operands converted by C's rules.
 
-    Whole numbers are of int32, or of uint32 beside one of these; beside a double they are doubles. Overflow saturates,
+    Whole numbers and truth are of int32, or uint32 beside one of these; beside a double they are doubles. Overflow saturates,
     or `wraps`. Source: C11, 6.3.1.1 and 6.3.1.8, for an int of 32 bits.
     """
     a, b = as_array(left), as_array(right)
     kinds = [class_of(one) for one in (a, b)]
-    if operator_ not in ("+", "-", "*", "/") or INTEGER_TYPES.keys().isdisjoint(kinds):
+    whole = operator_ in ("+", "-", "*", "/", "bitand", "bitor", "bitshift")
+    if not whole or {*kinds} == {"real"} or "float64" in kinds:
         return operator_, left, right
     if "real" in kinds:
         return operator_, converted(a, "real"), converted(b, "real")
@@ -181,7 +182,7 @@ def in_c(operator_: str, left: Value, right: Value, wraps: bool) -> tuple[str, V
         raise NotComputed(f"{' and '.join(kinds)} in one operation of C is not translated")
     if operator_ == "/" and any(isinstance(v, Expr) or v == 0 for v in lifted(b).flat):
         raise NotComputed("a quotient of whole numbers in C by another number than a literal is not translated")
-    named = "whole /" if operator_ == "/" else f"wrapped {operator_}" if wraps else operator_
+    named = "whole /" if operator_ == "/" else f"wrapped {operator_}" if wraps and len(operator_) == 1 else operator_
     return named, converted(a, word), converted(b, word)
 
 
