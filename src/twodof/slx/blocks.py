@@ -51,7 +51,7 @@ from twodof.blocks.library.logic import COMPARISONS
 from twodof.slx.arithmetic import ARITHMETIC_RULES, signed_sum, whole, whole_gain, whole_product, whole_sum
 from twodof.slx.composite_blocks import COMPOSITE_RULES, SHOWN, Formula, formula
 from twodof.slx.conditions import CONDITION_RULES
-from twodof.slx.data_types import BUS_RULES, bus_array, kind_of, signal_of, sized, value_of
+from twodof.slx.data_types import BUS_RULES, bus_array, bus_parts, kind_of, signal_of, sized, value_of
 from twodof.slx.dynamic_blocks import DYNAMIC_RULES
 from twodof.slx.matlab.signals import mod, rem
 from twodof.slx.matrices import MATRIX_LINES, makes_matrix, matrix
@@ -428,6 +428,8 @@ def _of_columns(c: Asked, rule: Rule) -> Made:
 
 def _of_vectors(c: Asked, rule: Rule) -> Made:
     """Return the block of a rule that takes no buses: one whose elements are of one type is the vector of them."""
+    if c.block.type == "Demux" and c.inputs[0].width is not None:
+        return bus_parts(c)
     d, inputs, sources = Diagram("of_buses"), list[Signal](), list[str]()
     for k, one in enumerate(c.inputs, start=1):
         sources.append(d.input(f"u{k}", one.kind, one.width))

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from twodof.slx.model import Line, Pin, SimulinkBlock, System, Wire, port_number
+from twodof.slx.translation import NotTranslated
 
 
 def with_bus_ports(system: System) -> System:
@@ -64,6 +65,37 @@ def _created(system: System, prefix: str, elements: dict[str, str]) -> str:
 
 def _line(name: str, source: str, sink: Pin) -> Line:
     return Line(name, Pin(source, "out", 1), Wire([], sink, []))
+
+
+def with_each(system: System, count: int) -> System:
+    """Return a system that holds what is inside a For Each once for each part of its inputs.
+
+    Raises NotTranslated for parts other than elements side by side.
+    """
+    inner = System({sid: block for sid, block in system.blocks.items() if block.type != "ForEach"}, system.lines)
+    copies = [f"each {k}" for k in range(1, count + 1)]
+    ports = [block for block in inner.blocks.values() if block.type in ("Inport", "Outport")]
+    sides = [sum(one.type == kind for one in ports) for kind in ("Inport", "Outport")]
+    made = System({sid: SimulinkBlock("SubSystem", sid, sid, {}, ports=(sides[0], sides[1])) for sid in copies}, [])
+    for sid in copies:
+        made.blocks[sid].system = inner
+    for port in ports:
+        number, middle = port_number(port), f"{port.sid} parts"
+        made.blocks[port.sid] = SimulinkBlock(port.type, port.name, port.sid, {"Port": str(number)})
+        if {port.values.get(f"{name}Dimension", "1") for name in ("Partition", "Concatenation")} != {"1"}:
+            raise NotTranslated(f"{port.name}: parts along another dimension than the first are not translated")
+        if port.type == "Outport":
+            made.blocks[middle] = SimulinkBlock("Concatenate", middle, middle, {"Mode": "Vector"}, ports=(count, 1))
+            made.lines.append(_line("", middle, Pin(port.sid, "in", 1)))
+        elif port.values.get("Partition", "off") == "on":
+            made.blocks[middle] = SimulinkBlock("Demux", middle, middle, {"Outputs": str(count)}, ports=(1, count))
+            made.lines.append(_line("", port.sid, Pin(middle, "in", 1)))
+        for k, sid in enumerate(copies, start=1):
+            source = Pin(middle, "out", k) if middle in made.blocks else Pin(port.sid, "out", 1)
+            ends = (Pin(sid, "out", number), Pin(middle, "in", k)) if port.type == "Outport" else ()
+            begin, end = ends or (source, Pin(sid, "in", number))
+            made.lines.append(Line("", begin, Wire([], end, [])))
+    return made
 
 
 _RECORDED = {"FromWorkspace": "VariableName", "FromFile": "FileName"}

@@ -26,7 +26,7 @@ from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, pla
 
 CONTROL_PORTS = {"EnablePort": "enable", "TriggerPort": "trigger", "ActionPort": "ifaction", "ResetPort": "reset"}
 """Block types that make their subsystem conditional, with the kind of pin that they give it."""
-ITERATED = ("ForEach", "WhileIterator", "ForIterator")
+ITERATED = ("WhileIterator", "ForIterator")
 
 
 @dataclass(frozen=True)

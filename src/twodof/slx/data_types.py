@@ -236,5 +236,34 @@ def bus_array(c: Asked) -> Made:
     return Made(BusArray(bus, len(c.inputs)), [Signal(bus, len(c.inputs))])
 
 
+class BusParts(Block):
+    """y1, y2, ... are the elements of the array of buses u."""
+
+    def __init__(self, bus: Bus, count: int) -> None:
+        self.bus, self.names = bus, [f"y{k}" for k in range(1, count + 1)]
+        self.inputs = [Port("u", bus, count)]
+        self.outputs = [Port(name, bus) for name in self.names]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """Take the buses apart field by field."""
+        return {name: self._part(self.bus, u.u, k) for k, name in enumerate(self.names)}
+
+    def _part(self, bus: Any, view: Any, place: int) -> Any:
+        return {
+            one.name: self._part(one.kind, view[one.name], place)
+            if isinstance(one.kind, Bus)
+            else view[one.name][place]
+            for one in bus.fields
+        }
+
+
+def bus_parts(c: Asked) -> Made:
+    """Return the elements of an array of buses, one an output."""
+    one = c.inputs[0]
+    if not isinstance(one.kind, Bus) or one.width != int(c.scalar("Outputs", "4")):
+        raise NotTranslated(f"an input that is {one} is not translated")
+    return Made(BusParts(one.kind, one.width), [Signal(one.kind)] * one.width)
+
+
 BUS_RULES: dict[str, Rule] = {"BusAssignment": _assignment, "BusCreator": _creator, "BusSelector": _selector}
 """Rules of the blocks of buses."""

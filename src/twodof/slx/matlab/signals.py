@@ -166,8 +166,8 @@ OPERATORS: dict[str, Callable[..., Array]] = {
 def in_c(operator_: str, left: Value, right: Value, wraps: bool) -> tuple[str, Value, Value]:
     """Return an operation of C as one of `OPERATORS`, with its operands converted by C's rules.
 
-    Whole numbers and truth are of int32, or uint32 beside one of these; beside a double they are doubles. Overflow saturates,
-    or `wraps`. Source: C11, 6.3.1.1 and 6.3.1.8, for an int of 32 bits.
+    Whole numbers and truth are of int32, or uint32 beside one of these; beside a double they are doubles. Overflow
+    saturates, or `wraps`. Source: C11, 6.3.1.1 and 6.3.1.8, for an int of 32 bits.
     """
     a, b = as_array(left), as_array(right)
     kinds = [class_of(one) for one in (a, b)]
