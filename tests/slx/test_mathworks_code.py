@@ -260,6 +260,7 @@ READING = """
 #define private public
 #include <cstdio>
 #include <cstring>
+#include <initializer_list>
 #include "{name}.h"
 {constants}
 static float given[2];
@@ -353,6 +354,27 @@ FILTERS = {
              *to++ = c.available; *to++ = c.length; *to++ = c.packet.ID;
              for (uint8_T one : c.packet.PAYLOAD) *to++ = one;
            }""", "b481fc47a", constants="uint8_T CAN_ID_AMC = 3; real32_T CAN_ANGLE_DEG2ICUB = 65536.0F / 360.0F;",
+    ),
+    "decoder": Filter(
+        "can_decoder", "boards/amcbldc/messaging", ("amcbldc/can-decoder", "amcbldc/sharedutils"), "9.0", "", 44, 124,
+        "static MdlrefDW_can_decoder_T w; can_decoder_Init(&w.rtb, &w.rtdw);",
+        """BUS_CAN_MULTIPLE p = {}; static ReceivedEvents m[4]; const float *from = in; float *to = out;
+           for (BUS_CAN &c : p.packets) {
+             c.available = *from++ > 0; c.length = *from++; c.packet.ID = *from++;
+             for (uint8_T &one : c.packet.PAYLOAD) one = *from++;
+           }
+           can_decoder(&p, m, &w.rtb, &w.rtdw);
+           for (const ReceivedEvents &e : m) {
+             auto &t = e.targets_content; auto &k = e.pid_content; auto &l = e.limits_content;
+             auto &c = e.motor_config_content;
+             for (float one : {(float) e.motor_id, (float) e.event_type, t.position, t.velocity, t.current, t.voltage,
+               (float) k.type, k.OutMax, k.OutMin, k.P, k.I, k.D, k.N, k.I0, k.D0, (float) k.shift_factor,
+               (float) e.control_mode_content, l.overload, l.peak, l.nominal, (float) l.type,
+               (float) c.enable_verbosity, (float) c.has_hall_sens, (float) c.has_quadrature_encoder,
+               (float) c.has_speed_quadrature_encoder, (float) c.has_temperature_sens, (float) c.encoder_tolerance,
+               (float) c.pole_pairs, (float) c.rotor_encoder_resolution, (float) c.rotor_index_offset,
+               (float) c.use_index}) *to++ = one;
+           }""", "ccd52a2f9", constants="uint8_T CAN_ID_AMC = 3; real32_T CAN_ANGLE_ICUB2DEG = 360.0F / 65536.0F;",
     ),
     "currents": Filter(
         "control_foc", "boards/common/models/motion_control/control",
@@ -580,6 +602,28 @@ def test_an_array_of_buses_has_the_bits_of_mathworks_code(tmp_path: Path) -> Non
         found.append(np.hstack([np.reshape(one, (4, -1)) for one in parts]).ravel())
     assert np.array_equal(np.array(found, np.float32), wanted)
     assert (np.ptp(wanted[:, :22], axis=0) > 0.0).sum() >= 14
+
+
+def test_a_decoder_has_the_bits_of_mathworks_code(tmp_path: Path) -> None:
+    """A chart in C for each of four packets: bits, casts and whole numbers, and local events to a parallel state."""
+    one, draw = FILTERS["decoder"], np.random.default_rng(15)
+    opcodes, modes = [9, 72, 101, 105, 119, 33], [0, 80, 10, 11, 6, 176, 160, 33]
+    packets = draw.integers(0, 256, (STEPS, 4, 11))
+    packets[..., 0] = draw.random((STEPS, 4)) < 0.8
+    packets[..., 1] = draw.choice([8, 8, 8, 0, 1, 2, 9], (STEPS, 4))
+    packets[..., 2] = draw.choice([0x003, 0x013, 0x10F, 0x10F, 0x102, 0x204], (STEPS, 4))
+    packets[..., 3] = draw.choice(opcodes, (STEPS, 4)) + 128 * draw.integers(0, 2, (STEPS, 4))
+    packets[..., 4] = np.where(packets[..., 3] & 127 == 9, draw.choice(modes, (STEPS, 4)), packets[..., 4])
+    packets[..., 10] %= 16  # a shift by less than 0 bits has no meaning in C
+    wanted = by_cpp(one, packets.reshape(STEPS, -1), tmp_path)
+    machine, found = filter_of(one, tmp_path), []
+    at = "pck_rx_raw.packets."
+    for row in packets:
+        u = {f"{at}available": row[:, 0].astype(bool).tolist(), f"{at}length": row[:, 1].tolist(),
+             f"{at}packet.ID": row[:, 2].tolist(), f"{at}packet.PAYLOAD": row[:, 3:].tolist()}  # fmt: skip
+        found.append(np.array([np.ravel(one) for one in flat(machine.step(u)).values()]).T.ravel())
+    assert np.array_equal(np.array(found, np.float32), wanted)
+    assert (np.ptp(wanted, axis=0) > 0.0).sum() > 60
 
 
 # --- one block each, of a suite of test cases: signals are global variables, and rates are functions of their own

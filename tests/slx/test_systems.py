@@ -496,3 +496,26 @@ def test_recorded_data_of_a_subsystem_become_inputs(tmp_path: Path) -> None:
     ]
     y = flown(found, tuvar=DRAWN[:2].T.copy(), log=DRAWN[2])["y"]
     assert np.array_equal(y, (DRAWN[0] - DRAWN[1]) + DRAWN[2])
+
+
+def test_a_for_each_acts_once_for_each_part(tmp_path: Path) -> None:
+    """Each part has states of its own, and what is not taken apart goes to all of them."""
+    inside: Blocks = [
+        ("ForEach", "each", {"SpecifiedNumIters": "2"}),
+        ("Inport", "part", {"Partition": "on", "PartitionDimension": "1"}),
+        ("Inport", "whole", {"Port": "2"}),
+        ("Sum", "sum", {"Ports": "[3, 1]", "Inputs": "+++"}),
+        ("UnitDelay", "z", {"InitialCondition": "1"}),
+        ("Outport", "out", {"ConcatenationDimension": "1"}),
+    ]
+    lines: Lines = [("part", "sum:1"), ("z", "sum:2"), ("whole", "sum:3"), ("sum", "z"), ("sum", "out")]
+    blocks: Blocks = [
+        ("Inport", "u", {**REAL, "PortDimensions": "4"}),
+        ("Inport", "v", {"Port": "2", **REAL, "PortDimensions": "2"}),
+        ("SubSystem", "parts", {"Ports": "[2, 1]"}, (inside, lines)),
+        ("Outport", "y", {}),
+    ]
+    found = imported(tmp_path, blocks, [("u", "parts:1"), ("v", "parts:2"), ("parts", "y")])
+    got = flown(found, u=DRAWN.T, v=DRAWN[:2].T)["y"]
+    wanted = 1.0 + np.cumsum(DRAWN.T + np.tile(DRAWN[:2].T, 2), axis=0)
+    assert np.allclose(got, wanted, rtol=0.0, atol=1e-12)
