@@ -193,7 +193,7 @@ def test_conditions_without_an_equivalent_are_refused_by_path(tmp_path: Path) ->
     found = imported(tmp_path, blocks, lines)
     assert {(line.path, line.why) for line in found.refused} == {
         ("shown", "ShowOutputPort of its TriggerPort is not translated"),
-        ("all", "a subsystem with a ForEach is not translated"),
+        ("all", "a For Each with SpecifiedNumIters = -1 is not translated"),
     }
 
 

@@ -4,9 +4,11 @@ Simulink draws one port of a subsystem as many blocks, each with the path of one
 one block: here the blocks become selectors behind an Inport, or signals of a creator of buses in front of an Outport.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+from twodof.slx.matlab.program import evaluate
+from twodof.slx.matlab.values import Value, scalar
 from twodof.slx.model import Line, Pin, SimulinkBlock, System, Wire, port_number
 from twodof.slx.translation import NotTranslated
 
@@ -67,11 +69,19 @@ def _line(name: str, source: str, sink: Pin) -> Line:
     return Line(name, Pin(source, "out", 1), Wire([], sink, []))
 
 
-def with_each(system: System, count: int) -> System:
-    """Return a system that holds what is inside a For Each once for each part of its inputs.
+MOST_PARTS = 100
+"""Most parts of a For Each."""
 
-    Raises NotTranslated for parts other than elements side by side.
+
+def with_each(system: System, names: Mapping[str, Value]) -> tuple[System, list[str]]:
+    """Return a system that holds what is inside a For Each once for each part of its inputs, and the copies' names.
+
+    Raises NotTranslated for parts other than elements side by side, and where no number of them is written.
     """
+    said = next(one.values.get("SpecifiedNumIters", "-1") for one in system.blocks.values() if one.type == "ForEach")
+    count = int(scalar(evaluate(said, names, "SpecifiedNumIters")))
+    if not 0 < count <= MOST_PARTS:
+        raise NotTranslated(f"a For Each with SpecifiedNumIters = {said} is not translated")
     inner = System({sid: block for sid, block in system.blocks.items() if block.type != "ForEach"}, system.lines)
     copies = [f"each {k}" for k in range(1, count + 1)]
     ports = [block for block in inner.blocks.values() if block.type in ("Inport", "Outport")]
@@ -91,11 +101,12 @@ def with_each(system: System, count: int) -> System:
             made.blocks[middle] = SimulinkBlock("Demux", middle, middle, {"Outputs": str(count)}, ports=(1, count))
             made.lines.append(_line("", port.sid, Pin(middle, "in", 1)))
         for k, sid in enumerate(copies, start=1):
+            if port.type == "Outport":
+                made.lines.append(Line("", Pin(sid, "out", number), Wire([], Pin(middle, "in", k), [])))
+                continue
             source = Pin(middle, "out", k) if middle in made.blocks else Pin(port.sid, "out", 1)
-            ends = (Pin(sid, "out", number), Pin(middle, "in", k)) if port.type == "Outport" else ()
-            begin, end = ends or (source, Pin(sid, "in", number))
-            made.lines.append(Line("", begin, Wire([], end, [])))
-    return made
+            made.lines.append(Line("", source, Wire([], Pin(sid, "in", number), [])))
+    return made, copies
 
 
 _RECORDED = {"FromWorkspace": "VariableName", "FromFile": "FileName"}

@@ -16,7 +16,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,6 +38,7 @@ MOST_LINES = 4000
 DEEPEST, MOST_JUNCTIONS = 12, 20
 _CHANGED = re.compile(r"\bhasChanged(|From|To)\s*\(\s*(\w+)\s*(?:,([^(),]+))?\)")
 _SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
+_SENT = {"FUNCTION_CALL_EVENT": "{} = true", "EITHER_EDGE_EVENT": "due_{0} = due_{0} + 1"}
 _SETTINGS = {
     "updateMethod": ({"INHERITED", "DISCRETE"}, "it is updated continuously"),
     "stateMachineType": ({"CLASSIC"}, "it is a Moore or Mealy machine"),
@@ -138,10 +138,8 @@ class _Chart:
         self.scripts: list[str] = []
         self.functions: list[_State] = []
         self.data: list[Form] = []
-        self.calls: list[str] = []
-        """The events by which it calls subsystems: outputs that are true in the tick of the call."""
-        self.edges: list[str] = []
-        """The events that are edges of an output: one a tick, and the others in the ticks after it."""
+        self.calls: dict[str, str] = {}
+        """The events that are outputs, with what sends them: true in the tick of a call, or one of the edges due."""
         self.events: list[str] = []
         """Its local events."""
         self.event = ""
@@ -153,7 +151,11 @@ class _Chart:
         self.notes: list[str] = []
         self.root = _State("chart", "the chart", None, form["values"].get("decomposition") == "SET_CHART")
         self._read(form, self.root, 0)
-        self._with_calls()
+        if self.calls:
+            self._with_calls()
+        for way in self._ways() if self.in_c else ():
+            if re.search(r"(?<![=!<>~])=(?!=)", way.condition):
+                raise NotTranslated(f"{_shown(way)}: an assignment in a condition")
         if self.in_c:
             self._from_c()
         called = [one["name"] for one in self.data] + [one.name for one in self.functions]
@@ -199,11 +201,12 @@ class _Chart:
                 self.junctions.add(part["id"])
             elif part["tag"] == "event":
                 name, scope = values.get("name", part["name"]), values.get("scope")
-                kinds = {"FUNCTION_CALL_EVENT": self.calls, "EITHER_EDGE_EVENT": self.edges}
-                found = kinds.get(values.get("trigger", "")) if scope == "OUTPUT_EVENT" else None
-                if scope != "LOCAL_EVENT" and found is None:
+                if scope == "LOCAL_EVENT":
+                    self.events.append(name)
+                elif scope != "OUTPUT_EVENT" or values.get("trigger") not in _SENT:
                     raise NotTranslated(f"the event {name} is not translated")
-                (self.events if found is None else found).append(name)
+                else:
+                    self.calls[name] = _SENT[values["trigger"]].format(name)
             elif part["tag"] == "data" and values.get("scope") == "CONSTANT_DATA":
                 alike = [one for one in self.data if one["name"] == part["name"] and one["values"] == values]
                 self.data += [] if alike else [part]  # states may hold the same constant
@@ -242,38 +245,25 @@ class _Chart:
 
     def _with_calls(self) -> None:
         """Write a call of a subsystem, or an edge of an output, as an assignment."""
-        if not self.calls and not self.edges:
-            return
-        if self.calls:
-            self.notes.append(f"{', '.join(self.calls)}: what is called acts once in a tick, after the chart")
-        names = "|".join((*self.calls, *self.edges))
+        if called := [name for name, sent in self.calls.items() if sent.endswith("true")]:
+            self.notes.append(f"{', '.join(called)}: what is called acts once in a tick, after the chart")
+        names = "|".join(self.calls)
         call = re.compile(rf"\bsend\s*\(\s*({names})\s*\)|(?<![\w.])({names})(?:\s*\(\s*\))?(?=\s*(?:[;,\n]|$))")
-
-        def written(found: re.Match[str]) -> str:
-            name = found[1] or found[2]
-            return f"{name} = true" if name in self.calls else f"due_{name} = due_{name} + 1"
-
-        made = partial(call.sub, written)
-        for way in self._ways():
-            way.action, way.at_end = made(way.action), made(way.at_end)
-        for state in self.states.values():
-            state.actions = {name: made(text) for name, text in state.actions.items()}
+        self._rewrite(lambda text, _: call.sub(lambda found: self.calls[found[1] or found[2]], text))
 
     def _from_c(self) -> None:
         """Write conditions and actions in C as in MATLAB's language."""
         functions = {one.name for one in self.functions}
         functions |= {name for name, value in self.names.items() if isinstance(value, Members)}
+        self._rewrite(lambda text, owner: matlab_of(text, functions, self.exact, self.bits, owner))
+
+    def _rewrite(self, written: Callable[[str, str], str]) -> None:
+        """Write all conditions and actions anew; each is given with its owner."""
         for way in self._ways():
-            if way.condition and re.search(r"(?<![=!<>~])=(?!=)", way.condition):
-                raise NotTranslated(f"{_shown(way)}: an assignment in a condition")
-            owner = _shown(way)
-            way.condition, way.action, way.at_end = (
-                matlab_of(text, functions, self.exact, self.bits, owner)
-                for text in (way.condition, way.action, way.at_end)
-            )
+            texts = (way.condition, way.action, way.at_end)
+            way.condition, way.action, way.at_end = (written(text, _shown(way)) for text in texts)
         for state in self.states.values():
-            for name, text in state.actions.items():
-                state.actions[name] = matlab_of(text, functions, self.exact, self.bits, f"{name} of {state.name}")
+            state.actions = {name: written(text, f"{name} of {state.name}") for name, text in state.actions.items()}
 
     def _ways(self) -> Iterator[_Way]:
         for state in (self.root, *self.states.values(), *self.functions):
@@ -307,8 +297,9 @@ class _Chart:
                 known[name] = number(known[name])
             elif scope != "INPUT_DATA":
                 raise NotTranslated(f"the data {name} with {scope} is not translated")
-        afresh += self.calls
-        for name in (*self.calls, *self.edges):
+        edges = [name for name, sent in self.calls.items() if not sent.endswith("true")]
+        afresh += self.calls.keys() - edges
+        for name in self.calls:
             kept.append(name)
             declared[name], known[f"initial_{name}"] = "bool", np.zeros((1, 1), bool)
         if missing := [name for name in outputs if name not in kept]:
@@ -319,7 +310,7 @@ class _Chart:
         for one in self.functions:
             functions += self._block(lambda one=one: self._function(one, known, declared))  # type: ignore[misc]
         containers = [one for one in (self.root, *self.states.values()) if one.children and not one.parallel]
-        memory = [*(one.active for one in containers), *self.clocks, *(f"due_{name}" for name in self.edges)]
+        memory = [*(one.active for one in containers), *self.clocks, *(f"due_{name}" for name in edges)]
         head = [f"function [{', '.join(outputs)}] = chart({', '.join(inputs)})"]
         values = [f"{at}_{name}" for name in self.watched for at in ("before", "start")]
         head += [f"persistent {' '.join([*kept, *memory, *values, 'was_entered'])}", "if isempty(was_entered)"]
@@ -338,9 +329,8 @@ class _Chart:
                 raise NotTranslated("it executes at initialization, with after() or with inputs in its entry")
             middle = [("end", ""), ("if true", ""), *again, *step]
         unread = {f"{one.since} = 0;" for one in self.states.values()} - {f"{name} = 0;" for name in self.clocks}
-        edges = [f"if due_{name} > 0\n{name} = ~{name};\ndue_{name} = due_{name} - 1;\nend" for name in self.edges]
-        ends = [(line, "") for one in ("end", *edges, "end") for line in one.splitlines()]
-        text = [*((line, "") for line in head), *first, *middle, *ends]
+        turned = (f"if due_{name} > 0, {name} = ~{name}; due_{name} = due_{name} - 1; end" for name in edges)
+        text = [*((line, "") for line in head), *first, *middle, *((line, "") for line in ("end", *turned, "end"))]
         text = [one for one in text if one[0] not in unread]
         text += functions
         text += [(line, "a function in it") for script in self.scripts for line in [*script.splitlines()]]

@@ -32,7 +32,7 @@ from twodof.slx.inspection import OWN_LIBRARIES, library_file
 from twodof.slx.matlab.function_block import last_index
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.script import run
-from twodof.slx.matlab.values import NotComputed, Value, as_array, number, scalar
+from twodof.slx.matlab.values import NotComputed, Value, as_array, number
 from twodof.slx.model import (
     CODED,
     COMPUTED,
@@ -65,8 +65,6 @@ from twodof.slx.toolbox_blocks import TOOLBOXES
 from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, plain
 from twodof.slx.wiring import Wiring, safe
 
-MOST_PARTS = 100
-"""Most parts of a For Each."""
 MOST_GUESSES = 12
 """How often the types of loops are guessed anew."""
 _BUS_ENDS = {"BusAssignment", "BusCreator", "BusSelector", "Inport", "Outport"}
@@ -268,17 +266,12 @@ class _Import(Wiring):
             return self._file(file).root, block
         if block.type == "ModelReference":
             return self._referenced(block, names, at), block
-        each = (
-            next((one for one in block.system.blocks.values() if one.type == "ForEach"), None) if block.system else None
-        )
-        if each is None or block.system is None:
-            return block.system, block
-        count = int(scalar(evaluate(each.values.get("SpecifiedNumIters", "-1"), names, "SpecifiedNumIters")))
-        if not 0 < count <= MOST_PARTS:
-            raise NotTranslated(f"a For Each of {count} parts is not translated")
-        within = {path.removeprefix(at): one for path, one in self.code.items() if path.startswith(f"{at}/")}
-        self.code |= {f"{at}/each {k}{path}": one for k in range(1, count + 1) for path, one in within.items()}
-        return with_each(block.system, count), block
+        system = block.system
+        if system is not None and any(one.type == "ForEach" for one in system.blocks.values()):
+            system, copies = with_each(system, names)
+            within = {path.removeprefix(at): one for path, one in self.code.items() if path.startswith(f"{at}/")}
+            self.code |= {f"{at}/{copy}{path}": one for copy in copies for path, one in within.items()}
+        return system, block
 
     def _referenced(self, block: SimulinkBlock, names: dict[str, Value], at: str) -> System:
         """Return the top of the model that a block refers to. It sees the workspace and its arguments, no masks."""

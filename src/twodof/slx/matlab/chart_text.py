@@ -17,10 +17,10 @@ AFTER = re.compile(r"\bafter\s*\(([^(),]+),\s*(tick|sec|msec|usec)\s*\)")
 SEND = re.compile(r"\bsend\s*\(\s*(\w+)\s*(?:,\s*([\w.]+)\s*)?\)\s*;?")
 _EVENTS = re.compile(r"(?:[A-Za-z]\w*(?:\s*\|\s*[A-Za-z]\w*)*)?")
 _C = re.compile(
-    r"(?P<name>[A-Za-z_]\w*)|(?P<number>0[xX][0-9a-fA-F]+(?!\w)|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[fF]?(?!\w))"
-    r"|(?P<operator>\+\+|--|<<|>>|[-+*/=!<>~]=|&&|\|\||[-+*/!<>=~&|();,\[\].])"
+    r"(?:\s|\.\.\.)*(?:(?P<name>[A-Za-z_]\w*)|(?P<number>0[xX][0-9a-fA-F]+(?!\w)|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[fF]?(?!\w))"
+    r"|(?P<operator>\+\+|--|<<|>>|[-+*/=!<>~]=|&&|\|\||[-+*/!<>=~&|();,\[\].])|(?P<unknown>\S.*))",
+    re.DOTALL,
 )
-_SPACE = re.compile(r"(?:\s|\.\.\.)*")
 _BINARY = (("||",), ("&&",), ("|",), ("&",), ("==", "!=", "~="), ("<", "<=", ">", ">="), ("<<", ">>"), ("+", "-"),
            ("*", "/"))  # fmt: skip
 """Operators of C from those that bind last to those that bind first."""
@@ -43,13 +43,8 @@ class _Translation:
     """Reader of C that writes MATLAB's language."""
 
     def __init__(self, text: str, functions: Set[str], exact: bool, bits: bool, owner: str) -> None:
-        self.functions, self.bits, self.owner = functions, bits, owner
-        self.tokens, at = list[str](), 0
-        while (at := _end(_SPACE, text, at)) < len(text):
-            found = _C.match(text, at)
-            self.tokens.append(text[at:] if found is None else found[0])
-            at = len(text) if found is None else found.end()
-        self.at = 0
+        self.functions, self.bits, self.owner, self.at = functions, bits, owner, 0
+        self.tokens = [found[found.lastgroup or 0] for found in _C.finditer(text)]
         self.exact = exact and INTEGER_TYPES.keys().isdisjoint(self.tokens)
         self.one = "1" if self.exact else "int32(1)"
 
@@ -67,16 +62,12 @@ class _Translation:
     def refused(self, said: str) -> NotTranslated:
         return NotTranslated(f"{self.owner}: {said} in C is not translated")
 
-    def need(self, text: str) -> None:
-        if not self.taken(text):
-            raise self.refused(repr(self.here[:12]))
-
     def statements(self) -> str:
         found = list[str]()
         while self.here:
             if not self.taken(";", ","):
                 found.append(self._statement())
-        return ";\n".join(found) if len(found) < 2 else ";\n".join((*found, ""))
+        return ";\n".join(found)
 
     def _statement(self) -> str:
         before, start = self.taken("++", "--"), self.at
@@ -115,11 +106,12 @@ class _Translation:
             return f"{'~' if sign == '!' else sign}{self._unary()}"
         if self.taken("("):
             made = self._binary(0)
-            self.need(")")
+            if not self.taken(")"):
+                raise self.refused(repr(self.here[:12]))
             return f"({made})"
         found, token = _C.fullmatch(self.here), self.here
         self.at += 1
-        if found is None or found["operator"]:
+        if found is None or found["operator"] or found["unknown"]:
             raise self.refused(repr(token[:12]))
         if found["number"]:
             whole = token.isdigit() or token[:2] in ("0x", "0X")
@@ -151,11 +143,6 @@ class _Translation:
                     self.at += 2
             made = f"{made}({', '.join(inside)})"
         return made
-
-
-def _end(pattern: re.Pattern[str], text: str, at: int) -> int:
-    found = pattern.match(text, at)
-    return at if found is None else found.end()
 
 
 def actions_of(text: str, state: str) -> dict[str, str]:

@@ -537,7 +537,7 @@ class Program:
         if self.wraps is not None and name in INTEGER_TYPES:  # a cast
             return _of_kind(arguments[0], name, self.wraps)
         if self.wraps is not None and name in ("bitand", "bitor", "bitshift"):
-            name, *arguments = operation_in_c(name, *arguments, self.wraps)
+            name, *arguments = operation_in_c(name, arguments[0], arguments[1], self.wraps)
         if name == "single" or "single" in [one for one in arguments if isinstance(one, str)]:
             self.code.notes.append("single: computed in the precision of the build")
         code, function = self.code, self.code.functions.get(name)
