@@ -105,12 +105,7 @@ class ChartCode:
 
 
 def chart_code(
-    form: Form,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    names: Mapping[str, Value],
-    dt: float,
-    exact: bool = False,
+    form: Form, inputs: Sequence[str], outputs: Sequence[str], names: Mapping[str, Value], dt: float, exact: bool
 ) -> ChartCode:
     """Translate a chart with these ports, in their order, for a period [s]. Raises NotTranslated, naming the part.
 
@@ -353,7 +348,7 @@ class _Chart:
             if part["values"].get("scope") == "FUNCTION_OUTPUT_DATA":
                 self._say(f"{part['name']} = initial_{function.name}_{part['name']};")
                 known[f"initial_{function.name}_{part['name']}"] = self._initial(part, self._kind(part))
-        self._flow([way for way in function.ways if not way.source], self._flag(), None, function, [], 0)
+        self._flow([way for way in function.ways if not way.source], self._flag(), None, function)
         self._say("end")
 
     def _kind(self, part: Form) -> Kind:
@@ -463,7 +458,7 @@ class _Chart:
                 return
             if not defaults:
                 raise NotTranslated(f"{parent.name}: it has no default transition")
-            self._flow(defaults, self._flag(), None, parent, [], 0)
+            self._flow(defaults, self._flag(), None, parent)
 
     def _enter(self, state: _State) -> None:
         assert state.parent is not None
@@ -507,10 +502,10 @@ class _Chart:
             self._children_act(state)
             return
         flag = self._flag()
-        self._flow(outer, flag, state, None, [], 0)
+        self._flow(outer, flag, state, None)
         self._say(f"if ~{flag}")
         self._act(state, "during")
-        self._flow(inner, flag, state, state, [], 0)
+        self._flow(inner, flag, state, state)
         self._say(f"if ~{flag}")
         self._children_act(state)
         self._say("end\nend")
@@ -522,16 +517,10 @@ class _Chart:
         return f"taken_{self.flags}"
 
     def _flow(
-        self,
-        ways: Sequence[_Way],
-        flag: str,
-        source: _State | None,
-        within: _State | None,
-        path: list[_Way],
-        depth: int,
+        self, ways: Sequence[_Way], flag: str, source: _State | None, within: _State | None, path: Sequence[_Way] = ()
     ) -> None:
         """Try ways in their order; junctions lead on, and back where none of theirs reaches a state."""
-        if depth > MOST_JUNCTIONS:
+        if len(path) > MOST_JUNCTIONS:
             raise NotTranslated(
                 f"{_shown(path[0])}: junctions lead on more than {MOST_JUNCTIONS} times, or in a circle"
             )
@@ -547,7 +536,7 @@ class _Chart:
                 self._take(onward, self.states[way.target], source, within)
                 self._say(f"{flag} = true;")
             elif follow := self._from(way.target):
-                self._flow(follow, flag, source, within, onward, depth + 1)
+                self._flow(follow, flag, source, within, onward)
             elif self.states and within not in self.functions and (within is None or within.children):
                 raise NotTranslated(f"{owner}: it ends at a junction")
             else:
