@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.lab.served import ServedLab, served_lab
 from tests.patience import PATIENCE_S
@@ -46,6 +46,16 @@ def fitted(page: Page) -> None:
     expect(page.get_by_text("(95 % intervals)")).to_be_visible(timeout=LONG_MS)
 
 
+def with_another_truth(route: Route) -> None:
+    """Answer with a fit whose interval of mu misses the rig's value."""
+    answer = route.fetch()
+    job = answer.json()
+    for row in job["result"]["view"]["estimates"] if job["result"] else ():
+        if row["name"] == "mu":
+            row["truth"] = 2.0 * row["high"]
+    route.fulfill(response=answer, json=job)
+
+
 @pytest.mark.long
 def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?log=2026-01-01-10-00-00-doublet.mcap"))
@@ -53,8 +63,15 @@ def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) 
     page.get_by_text("More", exact=True).click()
     page.get_by_label("Structure").select_option("pitch-rate")
     fitted(page)
-    gain = page.get_by_role("row", name=re.compile(r"^mu\b.* 358\.6"))
+    gain = page.get_by_role("row", name=re.compile(r"^mu gain\b"))
     expect(gain).to_contain_text(re.compile(r"358\.50*\s+●\s+in the interval"))
+    expect(page.get_by_text("True value outside")).to_have_count(0)
+    page.route("**/api/jobs/*", with_another_truth)
+    page.get_by_role("button", name="Identify", exact=True).click()
+    expect(page.get_by_text("True value outside the interval: mu")).to_be_visible(timeout=LONG_MS)
+    expect(gain).to_contain_text("outside the interval")
+    picture(page, "identify-truth-missed")
+    page.unroute("**/api/jobs/*")
     expect(page.get_by_role("heading", name="Correlation of the estimates")).to_be_visible()
     expect(page.get_by_text("By hand, step by step")).to_be_visible()
     assert axe(page) == []

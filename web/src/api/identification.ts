@@ -85,6 +85,10 @@ export interface EstimateRow {
   truth: number | null;
 }
 
+/** Return whether an interval misses the virtual rig's own value; undefined if either is unknown. */
+export const missesTruth = ({ low, high, truth }: EstimateRow) =>
+  low === null || high === null || truth === null ? undefined : truth < low || high < truth;
+
 export interface OutputCurves {
   name: string;
   unit: string;
