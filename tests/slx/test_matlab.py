@@ -30,6 +30,7 @@ share = 1 * strcmp(sprintf('50%%'), '50%');
 short = [1 0] + (false && unknown(3) || true || [1 unknown]);
 x = A(end,:) * [1;2]
 z = eye(2)*1e-3 + diag([1 2]);
+[rows] = size([1 2; 3 4; 5 6], 1); [g.sum] = sum([1 2 3]);
 n = numel(0:0.1:1); m = -2^2; b = 2^-1; c=[1 - 2, 3 -1]; d=~(1==2) && true; e = [g.v(1:end-1) 1]';
 i = int8(200)+int8(1); j=single(1)/3; k = int32(7)/int32(2); l = uint8(3) - 5; o = 7*int16(-2.5);
 %{

@@ -422,7 +422,9 @@ class MatlabParser:
             elif not self.skip(","):
                 targets.append(_target(self._postfix()))
         self.at, self.matrix = close + 2, False
-        return Tree("several", parts=(self.expression(), *targets))
+        kind = "assign" if len(targets) == 1 and targets[0].parts else "several"
+        parts = (self.expression(), *targets)
+        return Tree(kind, parts=parts if kind == "several" else parts[::-1])
 
     def _structure(self) -> Tree:
         """Read a statement with blocks in it: a clause is a tree of its condition and its block."""
