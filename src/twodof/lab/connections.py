@@ -74,14 +74,15 @@ class Places:
         """Take a connection's place back."""
         self._taken[one.role].pop(one, None)
 
-    def end_late(self) -> None:
-        """Close connections whose time is over, a few at once; for each turn of the server's clock."""
+    def end_late(self, ends: bool = False) -> None:
+        """Close connections whose time is over, a few each turn of the server's clock; close all if the server ends."""
         now = time.monotonic()
         everyone = [one for taken in self._taken.values() for one in taken]
         for one in everyone:
             if one.transport.is_closing():  # the client takes the rest, or not
                 one.due = min(one.due, now + SEND_S)
-        for one in [one for one in everyone if min(one.due, one.unread_due) < now][:ENDED_AT_ONCE]:
+        late = [one for one in everyone if min(one.due, one.unread_due) < now][:ENDED_AT_ONCE]
+        for one in everyone if ends else late:
             one.end()
 
 
@@ -108,11 +109,10 @@ class PlacedConnection(asyncio.Protocol):
     app_state: dict[str, Any]
     role: Role | None = None
     due = unread_due = inf
-    idle = False
+    idle = _gone = False
     places = property(lambda self: self.config.places)
     reads = True  # False while earlier data wait for the application
     take_in: Callable[[bytes], None]  # the protocol's
-    _gone = False
     _unread = b""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

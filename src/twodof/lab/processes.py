@@ -287,11 +287,10 @@ class Jobs:
 
     def __init__(self, tell: Callable[[Mapping[str, Any]], None]) -> None:
         self._tell_all = tell
-        self._jobs: dict[str, Job] = {}
+        self._jobs, self._took = dict[str, Job](), dict[str, float]()
         places = [(role, quick, 1 if quick else AT_ONCE[role]) for role in Role for quick in (True, False)]
         self._turns = {(role, quick): Turns(n, n + MOST_WAITING, "jobs") for role, quick, n in places}
         self._warm = {role: _WorkProcess("diagram", TwodofError, background=True, nice=True) for role in Role}
-        self._took: dict[str, float] = {}
 
     @property
     def all(self) -> list[Job]:

@@ -186,6 +186,7 @@ async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
         finally:
             server.should_exit = True
             await asyncio.wait([serving], timeout=4 * END_S)
+            places.end_late(ends=True)
 
 
 class _Server(uvicorn.Server):

@@ -78,6 +78,17 @@ def test_an_unread_answer_ends_in_its_time(server: Served) -> None:
         assert reset.poll(1000 * PATIENCE_S)
 
 
+def test_an_unread_answer_ends_with_the_server(tmp_path: Path) -> None:
+    with closing(socket.socket()) as slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.settimeout(PATIENCE_S)
+        with served(tmp_path, warm_up=False) as server:
+            slow.connect(("127.0.0.1", server.port))
+            slow.sendall(b"GET /api/openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n" * 50)
+            assert slow.recv(64).startswith(b"HTTP/1.1 200")
+        assert ends(slow)
+
+
 def test_each_role_has_its_own_places(server: Served) -> None:
     kept = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
     with ExitStack() as stack, closing(kept):
