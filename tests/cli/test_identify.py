@@ -142,9 +142,10 @@ def test_poles_of_the_real_drone_by_hand(flight_data: Path, shell: Shell) -> Non
 
 
 def test_python_and_the_command_find_the_same(pitch_logs: tuple[Path, Path], shell: Shell) -> None:
-    """No number of another drone is held unless one asks for it: w_n and xi are found too, or come from an impulse."""
+    """No number of another drone is held unless one asks for it: w_n and xi are found too, from their prior."""
     found = answer(["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"], shell)
-    by_script = fit(pitch_rate(lag=True), cut(read_log(pitch_logs[1]), "doublet", (0.0, 2.0)))
+    record = cut(read_log(pitch_logs[1]), "doublet", (0.0, 2.0))
+    by_script = fit(pitch_rate(lag=True), record, prior=ready_made.POLES_PRIOR)
     assert found["estimates"] == json.loads(by_script.to_json())["estimates"]
     assert {"w_n", "xi"} <= set(found["estimates"])
 

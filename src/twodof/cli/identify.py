@@ -82,7 +82,7 @@ def identify(
     validate: Annotated[list[Path] | None, option("Log to validate on; repeatable.", "LOG")] = None,
     impulse: Annotated[
         Path | None,
-        option("For a doublet: the impulse's log, which gives the poles; needed with --method simple.", "LOG"),
+        option("For a doublet: the impulse's log, with the poles at rest; needed with --method simple.", "LOG"),
     ] = None,
     structure: Annotated[
         str | None,
@@ -136,8 +136,9 @@ def identify(
 ) -> None:
     """Identify the paper's models from a log, or your own from any table, with standard deviations and residual tests.
 
-    A doublet's log does not show the poles: --impulse LOG takes them from a free response. One flight cannot show how
-    much the parameters differ from flight to flight: give several logs and trust their spread.
+    A doublet's log hardly shows the poles. They have a prior, or are held at those of --impulse LOG, the free response,
+    on a rig that swings alike with its rotors running. One flight cannot show how much the
+    parameters differ from flight to flight: give several logs and trust their spread.
 
     Your own: --structure model.py:motor --input u=voltage --output y=speed --time t (or --period 0.02).
     Without a structure: --model bj:2,1,1,2,1 --input u=voltage --output y=speed --time t --compare arx:2,2,1.

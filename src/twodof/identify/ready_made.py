@@ -12,7 +12,6 @@ from twodof.errors import IdentificationError, shown
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.rotor_speed import supply_of
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, free_swing, in_motion, kind_of, only
 from twodof.identify.greybox import fit
@@ -370,10 +369,10 @@ def by_output_error(
 
     `machines` are those of the flights, one for each of `records` and then of `others`. In closed loop
     the cart is held at its calibration, and less certain figures are priors. A prior that is not asked for is held at
-    its mean. In a long open loop the poles have priors; along the rail the gyro's bias and the dry friction have them,
+    its mean. In open loop the poles have priors; along the rail the gyro's bias and the dry friction have them,
     and what a calibration gives of the rotors is held. `prior`, by unknown, takes the place of these. `free` is the
-    impulse's record of a doublet: its fit with the same structure fixes the poles. Several `records` are repetitions,
-    each fitted by itself.
+    impulse's record of a doublet: its fit with the same structure fixes the poles, if running rotors leave the rig's
+    stiffness as it is. Several `records` are repetitions, each fitted by itself.
     Raises IdentificationError as `fit` and `repeat`, and for flights in closed loop of different machines.
     """
     if len(records) > 1:
@@ -381,14 +380,14 @@ def by_output_error(
     structure.check_names(prior or {})
     given, checked = {name: one for name, one in (values or {}).items() if name not in (prior or {})}, list(others)
     wanted = tuple(estimate) if estimate else None
-    if free is not None:
+    machines = machines or [FlownMachine()] * len(records)
+    machine = machines[0]
+    if free is not None and load_rig(machine.rig)["softening"] == 0.0:
         swing = fit(structure, free, values=given, disturbance=disturbance)
         held = {name: swing[name] for name in SWING if name in swing.labels and name not in (estimate or ())}
         given = {**held, **given}
         wanted = wanted or tuple(name for name in structure.estimate if name not in held)
     before: dict[str, tuple[float, float]] | None = None
-    machines = machines or [FlownMachine()] * len(records)
-    machine = machines[0]
     if experiment == "impulse" and structure.name == "free_response" and not wanted:
         # What the rotors do is not part of the free response.
         freed = [free_swing(one) for one in (*records, *checked)]
@@ -420,10 +419,10 @@ def by_output_error(
         # What is not asked for is held where it is known to be, not at the paper's drone.
         held = {name: mean for name, (mean, _) in {**structure.prior, **known}.items() if name not in wanted}
         given = {**held, **machine.values(structure), **given}
-    elif experiment == "doublet" and free is None and min(one.steps for one in records) >= LONG:
-        # Slow noise passes for a swing of a long test signal, which a short one does not know of.
-        known = machine.prior(structure)
-        before = {name: one for name, one in known.items() if name in POLES_PRIOR and name not in given}
+    elif experiment == "doublet":
+        # Slow noise passes for a swing of the pendulum.
+        asked = set(POLES_PRIOR) & set(wanted or structure.estimate) - set(given)
+        before = {name: one for name, one in machine.prior(structure).items() if name in asked}
     elif experiment == "velocity":
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if "theta" in structure.inputs else "x"
