@@ -102,7 +102,7 @@ def fit_polynomial(model: PolynomialModel, records: Sequence[Record], validation
     pushed = [
         name
         for i, name in enumerate(model.inputs)
-        if any(_answering(one, i, e[b.rows]) for one, b in zip(data, blocks, strict=True))
+        if any(answers(one.u[i][b.rows.start - b.rows.stop :], e[b.rows]) for one, b in zip(data, blocks, strict=True))
     ]
     if pushed and model.kind == "oe":
         said = (
@@ -285,10 +285,6 @@ def _impulse(size: int, at: int) -> Array:
 def _size(error: Array) -> float:
     total = float(error @ error)
     return total if np.isfinite(total) else np.inf
-
-
-def _answering(data: _Columns, input: int, error: Array) -> bool:
-    return answers(data.u[input][-error.size :], error)
 
 
 def _offsets(model: PolynomialModel, data: Sequence[_Columns]) -> Iterator[str]:

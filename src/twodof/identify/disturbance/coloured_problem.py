@@ -209,11 +209,8 @@ class ColouredProblem:
             raw = self.problem.residual(x)
             if not np.isfinite(raw).all():
                 return LeastSquaresMinimum(x, raw, math.inf, 0, False, np.zeros(x.shape, dtype=bool))
-            self._orders = [None] * len(self._orders)
-            orders: list[int | None] = [model.order for model in self._models(self._pushes(raw, x))]
-            self._orders = orders
-            self._last = None
-            if orders == before:
+            self.choose(x)
+            if self._orders == before:
                 break
             minimum = minimise(
                 self.residual,
@@ -224,7 +221,7 @@ class ColouredProblem:
                 tolerance=_LITTLE / self.problem.size,
                 iterations=iterations,
             )
-            x, before = minimum.x, orders
+            x, before = minimum.x, self._orders
         return minimum
 
     def choose(self, x: Array) -> None:
@@ -232,16 +229,15 @@ class ColouredProblem:
         self._orders, self._last = [None] * len(self._orders), None
         self._orders = [model.order for model in self.at(x)[2]]
 
-    def lengthen(self, x: Array) -> None:
-        """Take longer models from now on: one coefficient for 40 samples, `MAX_ORDER` at most.
+    def lengthen(self, x: Array, samples: int = _A_COEFFICIENT, most: int = MAX_ORDER) -> None:
+        """Take longer models from now on: one coefficient for so many `samples`, and no more than `most`.
 
         The order that predicts best may be too short to claim by, because it leaves out the slow part of the noise. On
         the rig `lab` a pseudo-random flight of 9 s claimed 5 % too little with order 12. The estimates gain nothing.
         """
         orders = [model.order for model in self.at(x)[2]]
         self._orders = [
-            max(own, min(MAX_ORDER, noise.size // _A_COEFFICIENT))
-            for own, noise in zip(orders, self._noises, strict=True)
+            max(own, min(most, noise.size // samples)) for own, noise in zip(orders, self._noises, strict=True)
         ]
         self._last = None
 

@@ -29,7 +29,8 @@ its logarithm), as gusts and the rotors' own wake have it; the data say the rest
 _IMPOSSIBLE = 1e10
 _DIFFERENCE = 1e-5
 """Step of the derivatives of the likelihood: a smaller one finds its rounding, and the search ends too early."""
-_ORDER = 40
+_ORDER, _WEAK_ORDER = 40, 120
+"""Memory of the noise [samples], and where a band outweighs the pushes: next to nothing at 0 Hz takes a longer one."""
 _RESPONSE = 400
 _LINEAR = 1e-6
 # A lag of 1.5 samples rises by half in one.
@@ -119,19 +120,20 @@ class GustModel(PushModel):
         self.input, self.dt = problem.structure.inputs[0], problem.records[rows.record].dt
         response = impulse_response(problem, x, rows.record, rows.output)
         assert response is not None
-        self._size = 1 << (2 * response.size + _ORDER).bit_length()
+        self._size = 1 << (2 * response.size + _WEAK_ORDER).bit_length()
         self._power = np.abs(np.fft.rfft(response / self.unit, self._size)) ** 2
         self._turn = 2.0 * np.pi * np.arange(self._power.size) / self._size
         self._shift = np.exp(-1j * self._turn)
         self.theta = self._start() if theta is None else theta
 
     def noise(self, theta: Array) -> Autoregression:
-        """Return the noise as an autoregression of 40 samples, in units of the residual's weight."""
+        """Return the noise as an autoregression, in units of the residual's weight."""
         push, time, white, narrow, frequency, decay = theta
-        covariance = math.exp(2.0 * push) * self._pushed(math.exp(time))
-        covariance += math.exp(2.0 * narrow) * self._band(2.0 * math.pi * frequency, 1.0 / (1.0 + math.exp(-decay)))
+        pushed = math.exp(2.0 * push) * self._pushed(math.exp(time))
+        band = math.exp(2.0 * narrow) * self._band(2.0 * math.pi * frequency, 1.0 / (1.0 + math.exp(-decay)))
+        covariance = pushed + band
         covariance[0] += math.exp(2.0 * white)
-        return from_covariance(covariance)
+        return from_covariance(covariance[: 1 + (_ORDER if pushed[0] > band[0] else _WEAK_ORDER)])
 
     def prior(self, theta: Array) -> float:
         return float(0.5 * ((theta[1] - math.log(USUAL_S)) / math.log(FACTOR)) ** 2)
@@ -148,7 +150,7 @@ class GustModel(PushModel):
         """Autocovariance of the output under a push of standard deviation 1."""
         keep = math.exp(-self.dt / time)
         density = (1.0 - keep**2) / (1.0 - 2.0 * keep * np.cos(self._turn) + keep**2)
-        return np.asarray(np.fft.irfft(self._power * density, self._size)[: _ORDER + 1])
+        return np.asarray(np.fft.irfft(self._power * density, self._size)[: _WEAK_ORDER + 1])
 
     def _band(self, turn: float, radius: float) -> Array:
         """Autocovariance of noise of variance 1 through a band-pass of two poles, with zeros at both ends."""
@@ -156,7 +158,7 @@ class GustModel(PushModel):
             np.sin(self._turn) ** 2
             / np.abs(1.0 - 2.0 * radius * math.cos(turn) * self._shift + (radius * self._shift) ** 2) ** 2
         )
-        covariance = np.fft.irfft(density, self._size)[: _ORDER + 1]
+        covariance = np.fft.irfft(density, self._size)[: _WEAK_ORDER + 1]
         return np.asarray(covariance / covariance[0])
 
     def _start(self) -> Array:
