@@ -37,8 +37,11 @@ OWN_FILES = 32
 ACCEPTED_AT_ONCE, ENDED_AT_ONCE = 1, 32
 PIECE = 4096
 """Bytes read at once [byte]: none of them keeps the event loop for long."""
-READ_AT_ONCE, REST = 2, 16.0
-"""Pieces of a role that does not command are read in turns; after each, its turn rests so many times longer."""
+READ_AT_ONCE, REST, LONGEST_REST_S = 2, 16.0, 0.5
+"""Pieces of a role that does not command are read in turns; after each, its turn rests so many times longer, up to [s].
+
+What takes the processor for long is the interpreter's own, such as a collection of garbage: no piece takes 30 ms.
+"""
 _TOKEN, _QUERY = re.compile(rb"earer +(\S{1,200})"), re.compile(rb"GET [^ ]{1,40}[?&]token=([^& ]{1,200})")
 _STOP = re.compile(rb"POST [^ ?]{1,100}" + STOP.encode())
 
@@ -74,15 +77,14 @@ class Places:
         """Take a connection's place back."""
         self._taken[one.role].pop(one, None)
 
-    def end_late(self, ends: bool = False) -> None:
-        """Close connections whose time is over, a few each turn of the server's clock; close all if the server ends."""
+    def end_late(self) -> None:
+        """Close connections whose time is over, a few at once; for each turn of the server's clock."""
         now = time.monotonic()
         everyone = [one for taken in self._taken.values() for one in taken]
         for one in everyone:
             if one.transport.is_closing():  # the client takes the rest, or not
                 one.due = min(one.due, now + SEND_S)
-        late = [one for one in everyone if min(one.due, one.unread_due) < now][:ENDED_AT_ONCE]
-        for one in everyone if ends else late:
+        for one in [one for one in everyone if min(one.due, one.unread_due) < now][:ENDED_AT_ONCE]:
             one.end()
 
 

@@ -186,7 +186,8 @@ async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
         finally:
             server.should_exit = True
             await asyncio.wait([serving], timeout=4 * END_S)
-            places.end_late(ends=True)
+            for connection in server.server_state.connections:  # what did not end in its time
+                connection.transport.abort()
 
 
 class _Server(uvicorn.Server):

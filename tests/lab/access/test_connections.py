@@ -89,6 +89,27 @@ def test_an_unread_answer_ends_with_the_server(tmp_path: Path) -> None:
         assert ends(slow)
 
 
+def test_a_piece_that_took_long_holds_nobody_up_for_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a collection of garbage does it, or a first import: such a piece says nothing of the client."""
+    read, slow = connections.HttpConnection.take_in, [0.6, 0.6]
+    began, ended = list[float](), list[float]()
+
+    def take_in(self: connections.HttpConnection, data: bytes) -> None:
+        began.append(time.monotonic())
+        end = time.thread_time() + (slow.pop() if slow else 0.0)
+        while time.thread_time() < end:
+            pass
+        read(self, data)
+        ended.append(time.monotonic())
+
+    monkeypatch.setattr(connections.HttpConnection, "take_in", take_in)
+    asks = "GET /api/drones HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer wrong\r\n\r\n"
+    with served(tmp_path, command_token=COMMAND, warm_up=False) as server, ExitStack() as open_ones:
+        for client in [open_ones.enter_context(closing(opened(server, asks))) for _ in range(3)]:
+            assert client.recv(64).startswith(b"HTTP/1.1 401")
+    assert began[2] - ended[1] < 4.0  # 16 times as long as the first piece took is 9.6 s from its end
+
+
 def test_each_role_has_its_own_places(server: Served) -> None:
     kept = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
     with ExitStack() as stack, closing(kept):
