@@ -156,7 +156,7 @@ class PlacedConnection(asyncio.Protocol):
                 if self.reads and not self._unread:
                     self.transport.resume_reading()
         finally:
-            self.loop.call_later(REST * (time.thread_time() - began), line.give_back)
+            self.loop.call_later(min(REST * (time.thread_time() - began), LONGEST_REST_S), line.give_back)
 
     @property
     def person(self) -> str:
