@@ -133,6 +133,14 @@ def test_a_script_has_octaves_values(tmp_path: Path) -> None:
         assert_equal(workspace[name], theirs, name)
 
 
+def test_a_function_knows_how_many_results_are_asked_for(tmp_path: Path) -> None:
+    """As in Octave 7.3: 10, then 20 and 21."""
+    (tmp_path / "two.m").write_text("function [a, b] = two()\na = 10 * nargout; b = 1 + a;\nend\n", encoding="utf-8")
+    names: dict[str, Value] = {}
+    assert run("one = two(); [x, y] = two();", names, [tmp_path]) == []
+    assert [np.asarray(names[name]).tolist() for name in ("one", "x", "y")] == [[[10.0]], [[20.0]], [[21.0]]]
+
+
 def test_what_is_not_computed_is_said_by_line_and_leaves_no_old_value() -> None:
     workspace: dict[str, object] = {"h": np.ones((1, 1))}
     skipped = run(

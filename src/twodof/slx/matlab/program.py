@@ -560,7 +560,7 @@ class Program:
         shared = (code.shared or set()) - {*function.arguments, *function.results}
         code.seen = {one: value for one, value in self.evaluation.names.items() if one in (code.shared or ())}
         try:
-            found = call(code, function, arguments, self.evaluation, self.calls + 1)
+            found = call(code, function, arguments, self.evaluation, self.calls + 1, count)
         except NotTranslatedLine as reason:
             said = str(reason).partition(": ")[2] if code is of_library(name) else f"{name}.m, {reason}"
             raise reason if code is self.code else NotComputed(said) from None
@@ -586,11 +586,20 @@ def evaluate(text: str, workspace: Mapping[str, Value], where: str = "expression
 
 
 def call(
-    code: Code, function: FunctionDefinition, arguments: Sequence[Value], evaluation: Evaluation, depth: int = 0
+    code: Code,
+    function: FunctionDefinition,
+    arguments: Sequence[Value],
+    evaluation: Evaluation,
+    depth: int = 0,
+    count: int | None = None,
 ) -> Mapping[str, Value]:
-    """Carry out a function on arguments and return its names. The evaluation keeps persistent variables."""
+    """Carry out a function on arguments and return its names. The evaluation keeps persistent variables.
+
+    `count` results are asked for; None: all.
+    """
     given = {**code.known, **code.seen, **dict(zip(function.arguments, arguments, strict=False))}
-    given["nargin"] = np.array([[float(len(arguments))]])
+    asked = len(function.results) if count is None else count
+    given["nargin"], given["nargout"] = (np.array([[float(n)]]) for n in (len(arguments), asked))
     _, names = evaluation.apart(given, lambda inner: Program(code, function, inner, depth).run())
     for name in function.results:
         if name not in names and depth == 0:
