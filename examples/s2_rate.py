@@ -6,6 +6,7 @@ import numpy as np
 
 from twodof.excitation import Doublet
 from twodof.fleet import virtual_drone
+from twodof.flightlog import numbered
 from twodof.gcs import Drone
 
 # Proportional, integral and derivative gain by crossover [rad/s], found by loop shaping on the identified model.
@@ -16,7 +17,9 @@ designs = {
 }
 doublets = Doublet(radians(30.0), 1.0, unit="rad/s", repeat=2, pause=0.5, settle=0.5)
 
-with virtual_drone("lab", rings=True) as url, Drone.connect(url) as drone:
+file = numbered("rate.mcap")  # or rate-2.mcap where the session is held again
+
+with virtual_drone("lab", rings=True) as url, Drone.connect(url) as drone, drone.record(file):
     print("crossover  RMS of q0 - q  peak of q  RMS of M")
     for crossover, gains in designs.items():
         drone.parameters.update(gains)  # all of them at one tick, or none
