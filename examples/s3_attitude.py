@@ -1,4 +1,4 @@
-"""Session 3: the attitude loop: steps of the pitch by +-10 deg with two gains, their rise time, overshoot and peak M."""
+"""Session 3: the attitude loop: steps of the pitch by +-10 deg with two gains: rise time, overshoot and peak M."""
 
 from math import radians
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from tests.patience import PATIENCE_S
 
 PROJECT = Path(__file__).resolve().parents[1]
-COPIED = ("src", "tools", "docs", "tests/fmea")
+COPIED = ("src", "tools", "docs", "tests/fmea", "bench/computing/hand")
 
 
 def copied(folder: Path) -> Path:

@@ -128,7 +128,6 @@ def test_a_table_is_checked_when_it_is_made() -> None:
         ParameterSet()["B"]
 
 
-@pytest.mark.long
 def test_an_equation_reads_every_row() -> None:
     """In the C of some estimator, a line other than a default, the struct and the table names it."""
     emitted = [emit_program(core(position_filter=kind, failsafe=True), PERIOD).source for kind in POSITION_FILTERS]
