@@ -176,5 +176,5 @@ def makes_matrix(c: Asked) -> bool:
     kind = c.block.kind
     if kind not in MATRIX_LINES:
         return False
-    made = kind in ("Assignment", "Reshape") or c.text("Mode", "Vector") == "Multidimensional array"
-    return made or any(one.shape is not None for one in c.inputs)
+    joined = kind == "Concatenate" and c.text("Mode", "Vector") == "Multidimensional array"
+    return kind in ("Assignment", "Reshape") or joined or any(one.shape is not None for one in c.inputs)
