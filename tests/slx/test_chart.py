@@ -351,6 +351,8 @@ def test_actions_in_c_count_and_compare(tmp_path: Path) -> None:
         ("{k = 6/k;}", "a quotient of whole numbers in C by another number than a literal"),
         ("[log = 1]", "an assignment in a condition"),
         ("{log = ~u;}", "'~' in C is not translated"),
+        (f"{{log = {'(' * 1000}u{')' * 1000};}}", "an expression so deep in C is not translated"),
+        (f"{{log = {'-+' * 1000}u;}}", "an expression so deep in C is not translated"),
         ("{k = u;}", "real in uint8 has other rules in C"),
     ],
 )

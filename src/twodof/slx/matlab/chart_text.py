@@ -26,6 +26,7 @@ _BINARY = (("||",), ("&&",), ("|",), ("&",), ("==", "!=", "~="), ("<", "<=", ">"
 """Operators of C from those that bind last to those that bind first."""
 _SAME_IN_C = {"abs", "true", "false", "single", "double", "boolean", *INTEGER_TYPES}
 """Functions that mean the same in C and in MATLAB's language."""
+DEEPEST = 40  # of signs and brackets within one another
 _PLAIN = {"after", "hasChanged", "hasChangedFrom", "hasChangedTo", "send"}
 """Calls whose arguments keep their form."""
 
@@ -43,7 +44,7 @@ class _Translation:
     """Reader of C that writes MATLAB's language."""
 
     def __init__(self, text: str, functions: Set[str], exact: bool, bits: bool, owner: str) -> None:
-        self.functions, self.bits, self.owner, self.at = functions, bits, owner, 0
+        self.functions, self.bits, self.owner, self.at, self.depth = functions, bits, owner, 0, 0
         self.tokens = [found[found.lastgroup or 0] for found in _C.finditer(text)]
         self.exact = exact and INTEGER_TYPES.keys().isdisjoint(self.tokens)
         self.one = "1" if self.exact else "int32(1)"
@@ -85,7 +86,12 @@ class _Translation:
     def _binary(self, level: int) -> str:
         """Read operations of this level, and of those that bind before it."""
         if level == len(_BINARY):
-            return self._unary()
+            self.depth += 1
+            if self.depth > DEEPEST:
+                raise self.refused("an expression so deep")
+            made = self._unary()
+            self.depth -= 1
+            return made
         left = self._binary(level + 1)
         while operator := self.taken(*_BINARY[level]):
             right = self._binary(level + 1)
@@ -103,7 +109,7 @@ class _Translation:
         if sign := self.taken("-", "+", "!", "~"):
             if sign == "~" and self.bits:
                 raise self.refused("'~'")
-            return f"{'~' if sign == '!' else sign}{self._unary()}"
+            return f"{'~' if sign == '!' else sign}{self._binary(len(_BINARY))}"
         if self.taken("("):
             made = self._binary(0)
             if not self.taken(")"):
