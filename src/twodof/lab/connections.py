@@ -38,10 +38,7 @@ ACCEPTED_AT_ONCE, ENDED_AT_ONCE = 1, 32
 PIECE = 4096
 """Bytes read at once [byte]: none of them keeps the event loop for long."""
 READ_AT_ONCE, REST, LONGEST_REST_S = 2, 16.0, 0.5
-"""Pieces of a role that does not command are read in turns; after each, its turn rests so many times longer, up to [s].
-
-What takes the processor for long is the interpreter's own, such as a collection of garbage: no piece takes 30 ms.
-"""
+"""Pieces of a role that does not command are read in turns; each rests so many times as long, up to the last [s]."""
 _TOKEN, _QUERY = re.compile(rb"earer +(\S{1,200})"), re.compile(rb"GET [^ ]{1,40}[?&]token=([^& ]{1,200})")
 _STOP = re.compile(rb"POST [^ ?]{1,100}" + STOP.encode())
 
