@@ -154,6 +154,15 @@ def test_a_watcher_may_only_stop(lab_server: LabServer, open_page: OpenPage) -> 
     )
 
 
+def test_leaving_the_page_while_its_log_scrolls(lab_server: LabServer, open_page: OpenPage) -> None:
+    """A browser tells of a scroll a frame later, also where the part that scrolled is gone by then."""
+    page = open_page(lab_server.link)  # an error of the page fails the test at its end
+    log = page.get_by_label("Log of the drone").element_handle()
+    page.get_by_role("link", name="Logs").click()
+    expect(page.get_by_label("Log of the drone")).to_have_count(0)
+    log.dispatch_event("scroll")
+
+
 def test_the_rig_is_reset(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     page.get_by_role("button", name="Reset…").click()
