@@ -1,4 +1,4 @@
-"""Grade flights by their steps of the pitch: `python grade_flights.py flights/*.mcap > grades.csv`.
+"""Grade flights by their steps of pitch and position: `python grade_flights.py flights/*.mcap > grades.csv`.
 
 Two flights with the same seed, rig and controller and the same figures are one flight. That holds for experiments that
 are simulated or flown in lockstep; a flight in real time never repeats bit for bit.
@@ -16,7 +16,8 @@ from twodof.experiment import simulate
 from twodof.flightlog import read_log, write_log
 from twodof.report.step_responses import step_responses
 
-LIMITS = {"rise_time": 0.2, "overshoot": 0.2, "settling_time": 0.6}  # s, share of the step, s
+FIGURES = ("rise_time", "overshoot", "settling_time")  # s, share of the step, s
+LIMITS = {"attitude": (0.2, 0.2, 0.6), "position": (1.5, 0.1, 4.0)}
 
 
 def origin(about: dict[str, Any]) -> list[str]:
@@ -32,29 +33,26 @@ def origin(about: dict[str, Any]) -> list[str]:
 
 
 logs = [Path(name) for name in sys.argv[1:]]
-if not logs:  # two flights to try it on, and a file that is no flight
-    folder = Path(tempfile.mkdtemp())
-    for gains in ("default", "student"):
-        logs.append(folder / f"{gains}.mcap")
-        write_log(simulate("attitude-steps", gains=gains).log, logs[-1])
-    logs.append(folder / "empty.csv")
-    logs[-1].write_text("")
+if not logs:  # a flight to try it on, and a file that is no flight
+    logs = [Path(tempfile.mkdtemp()) / name for name in ("student.mcap", "empty.csv")]
+    write_log(simulate("attitude-steps", gains="student").log, logs[0])
+    logs[1].write_text("")
 
-print(f"flight,seed,rig,controller,steps,{','.join(LIMITS)},points,remark")
+print(f"flight,seed,rig,controller,loop,steps,{','.join(FIGURES)},points,remark")
 for path in logs:
-    remark, steps, row = "", [], [path.name, "-", "-", "-"]
+    remark, steps, row = "no step of pitch or position", [], [path.name, "-", "-", "-"]
     try:
         log = read_log(path)
         row[1:] = origin(log.provenance)
-        steps = [one.figures for one in step_responses(log) if one.loop == "attitude"]
+        steps = [one for one in step_responses(log) if one.loop in LIMITS]
     except TwodofError as reason:  # a damaged file, or one of another program: the others are graded
         remark = reason.what.replace(",", ";")
+    for loop in sorted({one.loop for one in steps}):
+        flown = [one.figures for one in steps if one.loop == loop]
+        # A figure that a step never reached counts as infinite.
+        reached = [[math.inf if math.isnan(one := getattr(step, name)) else one for name in FIGURES] for step in flown]
+        figures = [median(column) for column in zip(*reached, strict=True)]
+        points = sum(figure <= limit for figure, limit in zip(figures, LIMITS[loop], strict=True))
+        print(",".join([*row, loop, str(len(flown)), *(f"{one:.3g}" for one in figures), str(points), ""]))
     if not steps:
-        print(f"{','.join(row)},0,{',' * len(LIMITS)}0,{remark or 'no step of the pitch'}")
-        continue
-    # A figure that a step never reached counts as infinite.
-    reached = [{name: getattr(one, name) for name in LIMITS} for one in steps]
-    figures = {name: median(math.inf if math.isnan(one[name]) else one[name] for one in reached) for name in LIMITS}
-    points = sum(figures[name] <= limit for name, limit in LIMITS.items())
-    row += [str(len(steps)), *(f"{value:.3g}" for value in figures.values())]
-    print(f"{','.join(row)},{points},{remark}")
+        print(",".join([*row, "-", "0", *("" for _ in FIGURES), "0", remark]))
