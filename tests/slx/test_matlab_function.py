@@ -249,10 +249,12 @@ end
 
 MORE = """function y = f(u, v, M)
 A = M * M' + eye(2); B = [v v([2 3 1]) v([3 1 2])]; P = B' * B + eye(3);
+if ~isequal(size(real(A)), [2 2]), error('no'); end
 k = find([0 3 0 -1]); w = tril(P) - triu(B, 1);
 y = [norm(v, 1); norm(M, 'fro'); reshape(chol(A), [], 1); reshape(chol(P, 'lower'), [], 1); nnz(v > 0);
      nnz([v; 0; NaN]); realsqrt(u^2); linsolve(A, [u; 1]); v(k - 1); find([1; 0; 1], 1); numel(k); w(:);
      circshift(v, 1); horzcat(v', u)';
+     isequal(v, v) + isequal(v, v'); isequal(floor(v), [0; 0; -1]); isequal(u, v); real(u);
      vertcat(v, u, 7); isreal(v) + isscalar(u) + isvector(v) + isrow(v) + iscolumn(v) + isnumeric(u);
      size(find(1 > 2))'];
 end

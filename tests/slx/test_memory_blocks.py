@@ -184,7 +184,7 @@ def test_a_second_order_integrator_is_two_in_a_row(tmp_path: Path) -> None:
 
 def test_a_pid_of_two_degrees_of_freedom_weighs_its_set_point_and_clamps_its_integral(tmp_path: Path) -> None:
     """P of b r - y, I of r - y; the integral stands still while the output is limited and the error goes further."""
-    values = {"SourceBlock": "slpidlib/PID Controller (2DOF)", "TimeDomain": "Discrete-time", "Controller": "PI",
+    values = {"SourceBlock": "pid_lib/PID Controller (2DOF)", "TimeDomain": "Discrete-time", "Controller": "PI",
               "P": "2", "I": "50", "b": ".5", "LimitOutput": "on", "LowerSaturationLimit": "-3",
               "UpperSaturationLimit": "3", "AntiWindupMode": "clamping"}  # fmt: skip
     wanted, integral = [], 0.0

@@ -169,6 +169,21 @@ def test_a_function_call_input_acts_in_the_steps_of_its_calls(tmp_path: Path) ->
     assert np.array_equal(flown(found, run=acts, u=DRAWN[0])["y"], summed(acts, np.zeros(STEPS, bool), 0.0))
 
 
+def test_a_subsystem_of_an_event_is_left_out_unless_it_initialises(tmp_path: Path) -> None:
+    inside: Blocks = [("Constant", "c", {}), ("Outport", "out", {})]
+    blocks: Blocks = [
+        ("Inport", "u", REAL),
+        ("SubSystem", "empty", {}, ([("EventListener", "e", {})], [])),
+        ("SubSystem", "stop", {}, ([*inside, ("EventListener", "e", {"EventType": "Terminate"})], [("c", "out")])),
+        ("Outport", "y", {}),
+    ]
+    found = imported(tmp_path, blocks, [("u", "y")])
+    assert np.array_equal(flown(found, u=DRAWN[0])["y"], DRAWN[0])
+    assert [note.partition(" ")[0] for note in found.notes] == ["empty", "stop"]
+    start = ("SubSystem", "start", {}, ([*inside, ("EventListener", "e", {})], [("c", "out")]))
+    assert imported(tmp_path, [*blocks, start], [("u", "y")]).refused[0].path == "start/e"
+
+
 def test_conditions_without_an_equivalent_are_refused_by_path(tmp_path: Path) -> None:
     inside: tuple[Blocks, Lines] = (
         [*COUNT, ("Outport", "out", {}), ("TriggerPort", "e", {"ShowOutputPort": "on"})],

@@ -173,13 +173,13 @@ def sldd(path: Path, *entries: str, refers: str = "") -> None:
 
 
 def test_a_dictionary_has_values_buses_and_enumerations(tmp_path: Path) -> None:
-    objects = (("K", "Simulink.Parameter", PARAMETER), ("Command", "Simulink.Bus", BUS))
+    objects = (("K", "House.Parameter", PARAMETER), ("Command", "Simulink.Bus", BUS))
     enumeration = ("Mode", "Simulink.data.dictionary.EnumTypeDefinition", MODE)
     made = [ENTRY.format(name=n, value=OBJECT.format(kind=k, body=b)) for n, k, b in (*objects, enumeration)]
     sldd(tmp_path / "top.sldd", *made[:2], refers="below.sldd")
     sldd(tmp_path / "below.sldd", made[2], ENTRY.format(name="plant", value=PLANT), refers="top.sldd")
     values = dictionary("top.sldd", [tmp_path])
-    # Numbers stand column after column; a parameter has its own type.
+    # Numbers stand column after column; a parameter has its own type, and may be of a package of the user's.
     assert np.array_equal(values["K"]["Value"], np.array([[1.25, 3.1], [2.0, 4.0]], dtype=np.float32))
     assert evaluate("Mode.armed + Mode(5)", values) == 10
     blocks = [
@@ -388,6 +388,8 @@ def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
         (("DataTypeConversion", {"OutDataTypeStr": "boolean"}), ("int8",), (INT8,), INT8 != 0),
         (("DataTypeConversion", {"OutDataTypeStr": "double"}), ("uint32",), ((INT8 + 128) << 24,), (INT8 + 128) << 24),
         (("RelationalOperator", {"Operator": "<"}), ("uint8", "int8"), (INT8 + 128, OTHER), INT8 + 128 < OTHER),
+        (("RelationalOperator", {"Operator": "=="}), ("boolean", "boolean"), (INT8 > 0, OTHER > 0),
+         (INT8 > 0) == (OTHER > 0)),
         (("RelationalOperator", {"Operator": ">="}), ("int8", "double"), (INT8, DRAWN[0] * 50), DRAWN[0] * 50 <= INT8),
         (("RelationalOperator", {"Operator": "isNaN", "Ports": "[1, 1]"}), ("double",),
          (np.where(INT8 > 9, np.nan, 1.0),), INT8 > 9),

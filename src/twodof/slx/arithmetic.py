@@ -229,7 +229,7 @@ def _relational(c: Asked) -> Made:
     if name not in COMPARED:
         raise NotTranslated(f"Operator = {name!r} is not translated")
     kinds = {one.number for one in c.inputs}
-    plain = len(kinds) == 1 and not kinds & set(STORED)
+    plain = len(kinds) == 1 and kinds <= {"real", *WORDS}
     block = (lambda: Compare(COMPARED[name], c.inputs[0].kind, c.width)) if plain else None
     return _truth(c, _OPERATIONS[COMPARED[name]], block)
 

@@ -6,7 +6,7 @@ reset by the sign before (`PrevResetState`).
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array
-from twodof.slx.model import System
+from twodof.slx.model import System, below
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal, plain
 
 CONTROL_PORTS = {"EnablePort": "enable", "TriggerPort": "trigger", "ActionPort": "ifaction", "ResetPort": "reset"}
@@ -62,6 +62,18 @@ def conditions_of(system: System) -> list[Activation]:
     if len([one for one in found if one.pin != "reset"]) > 1:
         raise NotTranslated("a subsystem that is enabled and triggered is not translated")
     return found
+
+
+def without_events(system: System, notes: list[str], path: str) -> System:
+    """Return a system without the subsystems of events that never come in a step: reset, terminate, and empty ones."""
+    blocks = dict(system.blocks)
+    for sid, block in blocks.items():
+        inside = [] if block.system is None else [*block.system.blocks.values()]
+        event = next((one for one in inside if one.type == "EventListener"), None)
+        if event is not None and (len(inside) == 1 or event.values.get("EventType", "Initialize") != "Initialize"):
+            blocks[sid] = replace(block, values={**block.values, "Commented": "on"})
+            notes.append(f"{below(path, block)} is left out: no step sends its event")
+    return System(blocks, system.lines)
 
 
 class ControlEdge(Block):

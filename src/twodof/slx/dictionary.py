@@ -171,7 +171,7 @@ def _fields(element: Element, depth: int) -> Any:
 def _object(element: Element, kind: str, depth: int) -> Any:
     """Return the plain form of an object: a parameter, a bus, an element of one, a type or an enumeration."""
     made = _fields(element, depth)["fields"]
-    if kind == "Simulink.Parameter":
+    if kind.endswith(".Parameter"):  # packages have classes of their own
         said = made.get("DataType", "")
         expression = next((p for p in element.iter("P") if p.get("Name") == "ExpressionString"), None)
         if expression is not None:

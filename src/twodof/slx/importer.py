@@ -23,7 +23,7 @@ from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, carried_out
 from twodof.slx.bus_ports import with_bus_ports, with_each, with_inputs, with_ports, with_recorded
 from twodof.slx.chart import function_rule
-from twodof.slx.conditions import CONTROL_PORTS, conditions_of
+from twodof.slx.conditions import CONTROL_PORTS, conditions_of, without_events
 from twodof.slx.connections import PASSING, STORES, Output, ReportLine, active_choice, store_name
 from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
@@ -192,7 +192,7 @@ class _Import(Wiring):
             raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
         recorded = list[SimulinkBlock]()
         system = with_recorded(system, recorded, path) if path != self.path else system
-        system = with_bus_ports(System(dict(system.blocks), system.lines))
+        system = with_bus_ports(without_events(system, self.notes, path))
         if recorded:  # of a library, or of a referenced model
             top = self.sheets[self.path]
             self.sheets[self.path] = Sheet(with_inputs(top.system, recorded, self.notes), top.names, top.owner)

@@ -28,7 +28,7 @@ from twodof.slx.model import (
     source_file,
 )
 
-OWN_LIBRARIES = ("simulink", "slpidlib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")
+OWN_LIBRARIES = ("simulink", "slpidlib", "pid_lib", "simulink_need_slupdate", "simulink_extras", "hdlsllib")
 """Libraries that are Simulink's own: their blocks stand for code and are in no file of the user's."""
 SUFFIXES = (".slx", ".mdl")
 

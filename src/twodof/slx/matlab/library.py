@@ -102,6 +102,10 @@ LIBRARY = {
     end""",
     "median": "function m = median(v)\nv = sort(v); n = numel(v); m = mean(v(floor((n + 1) / 2):floor(n / 2) + 1));",
     "trace": "function t = trace(a)\nt = sum(diag(a));",
+    "real": "function y = real(x)\ny = x;",
+    "isequal": """
+    function y = isequal(a, b)
+    if any(size(a) ~= size(b)), y = false; else, y = all(a(:) == b(:)); end""",
     "nnz": "function n = nnz(a)\nn = sum(a(:) ~= 0);",
     "dot": "function d = dot(a, b)\nd = a(:)' * b(:);",
     "eul2rotm": """
