@@ -529,6 +529,17 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
             "",
             "the Simulink function f(x)",
         ),
+        *(
+            (
+                way(1, None, 2)
+                + state(2, "A", simulink="1").replace(
+                    '<P Name="simulink">1</P>', f'<simulink><P Name="{kind}">1</P></simulink>'
+                ),
+                "",
+                "the state A is a Simulink subsystem or an atomic subchart",
+            )
+            for kind in ("isActionSubsystem", "isComponent")
+        ),
         (way(1, None, 2) + state(2, "A", data("log", "LOCAL")), "", "the name log stands for two things"),
         (way(1, None, 2) + state(2, "A") + data("ms", "LOCAL", "uint64"), "", "ms of type uint64 is not translated"),
         (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "[u > 0]") + way(4, 2, 2), "", "the order of the transitions"),

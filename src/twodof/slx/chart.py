@@ -231,6 +231,8 @@ class _Chart:
         if kind not in ("OR_STATE", "AND_STATE") or name is None:
             what = {"FUNC_STATE": "Simulink function", "GROUP_STATE": "box"}.get(kind, "state of another kind")
             raise NotTranslated(f"the {what} {label.strip()[:40]} is not translated")
+        if not {"simulink/isActionSubsystem", "simulink/isComponent"}.isdisjoint(values):
+            raise NotTranslated(f"the state {name[1]} is a Simulink subsystem or an atomic subchart: not translated")
         made = _State(part["id"], name[1], parent, values.get("decomposition") == "SET_STATE")
         made.number = int(values.get("executionOrder", len(parent.children) + 1 if kind == "OR_STATE" else 0))
         made.actions = actions_of(label[name.end() :], name[1])
