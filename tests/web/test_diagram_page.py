@@ -357,6 +357,19 @@ def test_blocks_are_commented_grouped_and_given_parameters(server: Served, open_
     assert saved.parts["pid"].commented == "through"
 
 
+def test_a_refused_block_is_named_and_not_simulated(server: Served, open_page: OpenPage) -> None:
+    page = drawn(open_page(link(server, "?starter=pid-attitude"), expects=("422",)))
+    block(page, "error").click()
+    page.get_by_label("signs", exact=True).fill("+x")
+    page.get_by_label("signs", exact=True).press("Enter")
+    expect(page.get_by_text("Not simulated: it does not compile yet")).to_be_visible()
+    page.get_by_role("tab", name="Margins").click()
+    expect(page.get_by_text("Margins need a diagram that compiles")).to_be_visible()
+    page.get_by_role("tab", name="Problems (1)").click()
+    expect(page.get_by_role("button", name="pid_attitude.error")).to_be_visible()
+    expect(page.get_by_text("fits no template")).to_have_count(0)
+
+
 def test_an_algebraic_loop_is_marked(server: Served, open_page: OpenPage) -> None:
     d = starter("pid-attitude")
     del d.connections["error", "b"]

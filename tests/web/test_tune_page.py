@@ -175,7 +175,7 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
         edit(page, name, value)
     page.get_by_role("button", name="Send 3 changes").click()
     bar = page.get_by_label("Changes to send")
-    expect(bar).to_contain_text("No changes yet", timeout=LONG_MS)
+    expect(bar).to_contain_text("Nothing to send", timeout=LONG_MS)
     # To take that back is a change that is not kept stable: it is laid into the edits, and asked for as before.
     page.get_by_role("button", name="Undo last send").click()
     expect(bar.get_by_role("alert")).to_contain_text("unstable within the uncertainty", timeout=LONG_MS)

@@ -8,6 +8,7 @@ import {
   readNumber,
   shownNumber,
   shownValue,
+  withSpread,
   written,
 } from "../src/design/units";
 
@@ -18,6 +19,17 @@ describe("units", () => {
     expect(shownValue(0.42, "%")).toBe("42%");
     expect(shownNumber(NaN, "m")).toBe("–");
     expect(shownNumber(-1e-9, "m")).toBe("0.000");
+  });
+  it("writes a value with the decimals of its standard deviation", () => {
+    const pairs = [
+      [277.5123, 20.4],
+      [0.008495, 0.0016],
+      [-0.01025, 0.037],
+      [123.4, 123.4],
+    ] as const;
+    expect(pairs.map(([value, sigma]) => withSpread(value, sigma))).toEqual(["278", "0.0085", "\u22120.010", "123"]);
+    expect(pairs.map(([, sigma]) => withSpread(sigma, sigma))).toEqual(["20", "0.0016", "0.037", "123"]);
+    expect([withSpread(2.28, null), withSpread(null, 1)]).toEqual(["2.280", "–"]);
   });
   it("gives back what was typed, to the digits that it shows", () => {
     for (const [text, unit] of [
@@ -44,7 +56,7 @@ describe("units", () => {
   it("writes a parameter of a diagram briefly", () => {
     expect(brief("0.0009334224953218762 s2/rad, 0 to 0.05")).toBe("0.0009334 s²/rad, 0 to 0.05");
     expect(brief("20.0 rad/s, 0 to inf")).toBe("20 rad/s, at least 0");
-    expect(brief("-1.5 V, -inf to 0, fixed")).toBe("-1.5 V, at most 0, fixed");
+    expect(brief("-1.5 V, -inf to 0, fixed")).toBe("\u22121.5 V, at most 0, fixed");
     expect(brief("")).toBe("");
   });
   it("writes a square as one", () => {

@@ -20,9 +20,7 @@ export function tick(value: number | null): string {
   return value === null ? "" : written(String(Number(value.toPrecision(10))));
 }
 
-export function quantity(value: number, unit: string): string {
-  return unit ? `${figure(value)} ${unit}` : figure(value);
-}
+export const quantity = (value: number, unit: string): string => `${figure(value)} ${unit}`.trimEnd();
 
 /** Return the first row from `low` on that is `at` or behind a place; `high` if none is. Rows are in order. */
 export function firstRow(low: number, high: number, at: (row: number) => boolean): number {

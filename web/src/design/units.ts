@@ -33,20 +33,17 @@ export function screenUnit(unit: string): ScreenUnit {
 }
 
 /** Write `s^2/rad` and `rad/s2` with a raised 2. */
-export function raised(unit: string): string {
-  return unit.replace(/\^2|(?<=[a-z])2\b/g, "²");
-}
+export const raised = (unit: string): string => unit.replace(/\^2|(?<=[a-z])2\b/g, "²");
 
 /** Shorten a parameter written with all digits, such as `0.0654030728 s2/rad, 0 to inf`. */
 export function brief(text: string): string {
   const short = text.replace(/-?\d+\.\d+(e[-+]\d+)?/g, (number) => String(Number(Number(number).toPrecision(4))));
-  return raised(short.replace(/(\S+) to inf/, "at least $1").replace(/-inf to (\S+)/, "at most $1"));
+  const bounds = short.replace(/(\S+) to inf/, "at least $1").replace(/-inf to (\S+)/, "at most $1");
+  return raised(bounds).replace(/(?<!\w)-(?=\d)/g, MINUS);
 }
 
 /** Convert a factor to decibels; null stays null. */
-export function decibels(factor: number | null): number | null {
-  return factor === null ? null : 20 * Math.log10(factor);
-}
+export const decibels = (factor: number | null): number | null => (factor === null ? null : 20 * Math.log10(factor));
 
 const MINUS = "\u2212";
 
@@ -54,6 +51,13 @@ const MINUS = "\u2212";
 export function written(digits: string): string {
   // The sign of an exponent stays the ordinary one, so that the number can be copied.
   return digits.replace(/^-/, Number(digits) === 0 ? "" : MINUS);
+}
+
+/** Write a value with the decimals that show two digits of its standard deviation; with four digits without one. */
+export function withSpread(value: number | null, sigma: number | null): string {
+  if (value === null) return "–";
+  if (!sigma) return written(value.toPrecision(4));
+  return written(value.toFixed(Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(sigma))))));
 }
 
 /** Format a value in the unit of the screen, without the unit; a dash if it is not a number. */

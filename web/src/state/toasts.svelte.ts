@@ -31,14 +31,8 @@ function leave(id: number): void {
 }
 
 export function toastError(failure: unknown): number {
-  if (failure instanceof ApiError) {
-    return toast(
-      [failure.what, failure.where && `(${failure.where})`].filter(Boolean).join(" "),
-      "bad",
-      failure.remedy,
-    );
-  }
-  return toast(String(failure), "bad");
+  if (!(failure instanceof ApiError)) return toast(String(failure), "bad");
+  return toast(failure.what + (failure.where && ` (${failure.where})`), "bad", failure.remedy);
 }
 
 /** Await `work`, or show its failure as a message. Returns whether it succeeded. */

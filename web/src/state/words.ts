@@ -21,6 +21,9 @@ export function failsafeSentence(state: DroneState): string {
   return `The failsafe ${does}: ${state.failsafe_reason || "it names no reason"}.`;
 }
 
+/** Why a drone that a page has stopped does nothing. */
+export const RELEASE = "Stopped: press Release the stop first.";
+
 function linkWord(state: DroneState): Word {
   return state.link === "heard" ? { kind: "good", text: "Link" } : { kind: "bad", text: "Link lost" };
 }
@@ -59,9 +62,7 @@ export function stateWords(state: DroneState, watches = false): Word[] {
   ];
 }
 
-export function modeWord(state: DroneState): string {
-  return state.mode.charAt(0).toUpperCase() + state.mode.slice(1);
-}
+export const modeWord = ({ mode }: DroneState): string => mode.charAt(0).toUpperCase() + mode.slice(1);
 
 export function controllerWords({ controller, changed_parameters: changed }: DroneState): string {
   return `${controller || "unknown"}${changed ? `, ${changed} ${changed === 1 ? "parameter" : "parameters"} changed` : ""}`;

@@ -39,9 +39,12 @@ export function testSeries(test: ResidualTest): Series[] {
 
 export function testWords(test: ResidualTest): string {
   const what = test.against === "itself" ? "white" : `independent of ${test.against}`;
-  return test.passed
-    ? `${test.output}: the residual is ${what}`
-    : `${test.output}: the residual is not ${what} (${test.outside} of ${test.lags.length} lags outside, ${test.allowed} by chance)`;
+  if (test.passed) return `${test.output}: the residual is ${what}`;
+  const why =
+    test.outside > test.allowed
+      ? `${test.outside} of ${test.lags.length} lags outside, ${test.allowed} by chance`
+      : "a lag lies further outside than by chance";
+  return `${test.output}: the residual is not ${what} (${why})`;
 }
 
 /** Return the magnitude of a correlation, 0 to 1. */

@@ -17,10 +17,7 @@ export function experimentRequest(row: ExperimentRow, own: Excitation | undefine
 /** Return the experiment that a log is named after. */
 export function experimentOf(log: string, names: readonly string[]): string | undefined {
   const stem = log.replace(/\.\w+$/, "").replace(/-\d$/, "");
-  return names
-    .filter((name) => stem.endsWith(`-${name}`))
-    .sort((a, b) => b.length - a.length)
-    .at(0);
+  return names.filter((name) => stem.endsWith(`-${name}`)).sort((a, b) => b.length - a.length)[0];
 }
 
 /** Return the newest log of an experiment; `flights` are sorted. */

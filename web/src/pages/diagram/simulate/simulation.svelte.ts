@@ -63,7 +63,8 @@ class Simulation {
     if (editor.shapes.unknown(root).size > 0) return; // asked for: what is known then calls again
     const structure = `${this.scenario.rig} ${structureOf(root, editor.shapes)}`;
     const compiled = structure !== this.structure;
-    if (compiled && !this.mayCompile(root)) return;
+    // A block that is refused keeps its last structure.
+    if ((compiled || findings.of === root) && !this.mayCompile(root)) return;
     try {
       if (compiled) await this.compile(structure);
       if (turn !== this.asked) return;
