@@ -73,6 +73,15 @@ def test_a_predictor_is_taken_where_pushes_move_the_plant(push: float) -> None:
         assert binomtest(covered, len(found), 0.95).pvalue > 1e-3, (name, covered)
 
 
+@pytest.mark.long
+def test_claims_hold_where_a_push_moves_all_outputs_at_once() -> None:
+    """Strong pushes make the errors of theta and q at a sample go together."""
+    found = [pitch_under(0.2, seed) for seed in range(150)]
+    for name, truth in PITCH.items():
+        covered = sum(low <= truth <= high for low, high in (one.interval(name) for one in found))
+        assert binomtest(covered, len(found), 0.95).pvalue > 1e-3, (name, covered)
+
+
 def test_coloured_noise_of_a_sensor_is_no_process_noise() -> None:
     for name in ("coloured noise", "output walks", "actuator saturates", "mains hum"):
         assert CASES[name].make().disturbance.kind != "innovation", name

@@ -22,6 +22,7 @@ from twodof.identify.covariance import check_identifiable, covariance, robust_co
 from twodof.identify.disturbance.disturbance_model import Disturbance, DisturbanceModel, inputs_that_answer
 from twodof.identify.disturbance.noise_search import Disturbed, check_disturbance, diverges, likelier, passes, search
 from twodof.identify.disturbance.walk import (
+    ErrorsTogether,
     can_predict,
     first_gains,
     gains_of,
@@ -267,17 +268,18 @@ def _predicted(
         own = posed(problem.records, gains)
         own.x0[:wanted] = start
         try:
-            best = _solve(own, {})
+            best = _solve(own, {}, together=True)
         except IdentificationError:
             continue
+        whiten = ErrorsTogether(own, own.residual(best.x))
         sizes = np.array([block.rows.stop - block.rows.start for block in own.blocks])
-        tried.append((float(sizes @ np.log(own.sigma)), own, best))
+        tried.append((float(sizes @ np.log(own.sigma / problem.sigma)) + whiten.log_deviations, own, best, whiten))
         if passes(own, own.residual(best.x)):
             break  # white prediction errors leave nothing to other gains
     if not tried:
         return None
-    _, own, best = min(tried, key=lambda one: one[0])
-    error = own.residual(best.x)
+    cost, own, best, whiten = min(tried, key=lambda one: one[0])
+    error = whiten(own.residual(best.x))
     model = DisturbanceModel(
         "innovation",
         answering=inputs_that_answer(problem, error),
@@ -286,10 +288,11 @@ def _predicted(
     )
     return Disturbed(
         replace(best, x=best.x[:wanted], at_bound=best.at_bound[:wanted]),
-        without_gains(own.central_jacobian(best.x), wanted),
+        without_gains(whiten(own.central_jacobian(best.x)), wanted),
         error,
         np.ones(len(own.blocks)),
         model,
+        0.5 * float(error @ error) + cost,
         predictor=(own, best.x),
     )
 
@@ -406,15 +409,19 @@ def _several(records: Record | Iterable[Record]) -> tuple[Record, ...]:
     return several
 
 
-def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
-    """Minimise; with several noises unknown re-weight by the residuals until the weights stand still."""
+def _solve(problem: Problem, noise: Mapping[str, float], together: bool = False) -> LeastSquaresMinimum:
+    """Minimise; with several noises unknown re-weight by the residuals until the weights stand still.
+
+    With `together` the weights are those of a predictor's errors, which go together (`ErrorsTogether`).
+    """
     fixed = problem.set_noise(noise)
     open_ = [blocks for noise_of in problem.noises if (blocks := [k for k in noise_of if k not in fixed])]
     # One weight alone does not move the minimum; of several, a per cent is far below what their estimated spread is
     # worth.
     x, still = problem.x0, len(problem.blocks) == 1 and not problem.known
+    whiten = None
     for _ in range(20):
-        minimum = problem.minimise(x, tolerance=_FINE if still else _ROUGH)
+        minimum = problem.minimise(x, whiten, _FINE if still else _ROUGH)
         x = minimum.x
         if not math.isfinite(minimum.cost):
             raise problem.structure.error(
@@ -422,9 +429,13 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
                 f"{max(record.dt for record in problem.records):g} s",
                 "choose other first guesses, or a smaller step (substeps)",
             )
-        change = _reweight(problem, minimum.residual, open_)
+        residual = problem.residual(x)
+        change = _reweight(problem, residual, open_)
         if still:
             break
+        if together:
+            before, whiten = whiten, ErrorsTogether(problem, residual)
+            change = max(change, whiten.change(before) if before else math.inf)
         still = change < 0.01
     return minimum
 

@@ -194,11 +194,10 @@ def likelier(problem: Problem, found: Disturbed, predictor: Disturbed) -> Distur
     out has a colour too, but not that of pushes behind the plant's poles: an autoregression predicts it better.
     """
     assert predictor.predictor is not None
-    (own, x), error = predictor.predictor, predictor.prediction_error
+    own, x = predictor.predictor
     if is_unstable(own.structure, own.values(x, 0), own.records[0].dt):
         return found  # a predictor whose own errors grow follows the chance of one record
-    rows = np.array([block.rows.stop - block.rows.start for block in own.blocks])
-    cost = 0.5 * float(error @ error) + float(rows @ np.log(own.sigma / problem.sigma)) + len(predictor.model.gains)
+    cost = predictor.cost + len(predictor.model.gains)
     starts = (found.minimum.x, predictor.minimum.x)
     other = _coloured_by(ColouredProblem(problem), problem, starts, found.minimum, found.model.answering)
     return predictor if cost < min(found.cost, other.cost) - _LIKELIER else found

@@ -183,3 +183,38 @@ def gains_of(problem: Problem, x: Array) -> dict[str, float]:
     return {
         n: value for n, value in problem.values(x, 0).items() if n.startswith("K_") and n in problem.structure.estimate
     }
+
+
+class ErrorsTogether:
+    """Correlation of the errors that a predictor makes of all outputs at a sample: a push moves several at once.
+
+    Called with rows it makes the errors independent, so that their sum of squares is that of the likeliest unknowns
+    (Ljung, System Identification, section 7.4). `log_deviations` is half the logarithm of the correlation's
+    determinant over all samples. Each flight has a correlation of its own, seen in the `residual` of the problem.
+    """
+
+    def __init__(self, problem: Problem, residual: Array) -> None:
+        outputs, self.log_deviations = len(problem.outputs), 0.0
+        self._factors: list[tuple[list[slice], Array]] = []
+        for first in range(0, len(problem.noises), outputs):
+            records = zip(*problem.noises[first : first + outputs], strict=True)
+            own = [[problem.blocks[k].rows for k in record] for record in records]
+            spans = [slice(rows[0].start, rows[-1].stop) for rows in own]
+            errors = np.hstack([residual[span].reshape(outputs, -1) for span in spans])
+            errors /= np.maximum(np.sqrt(np.mean(errors**2, axis=1, keepdims=True)), 1e-12)
+            factor = np.linalg.cholesky(errors @ errors.T / errors.shape[1] + 1e-9 * np.eye(outputs))
+            self.log_deviations += errors.shape[1] * float(np.log(np.diag(factor)).sum())
+            self._factors.append((spans, factor))
+
+    def __call__(self, rows: Array) -> Array:
+        white = rows.copy()
+        for spans, factor in self._factors:
+            for span in spans:
+                own = np.linalg.solve(factor, rows[span].reshape(len(factor), -1))
+                white[span] = own.reshape(rows[span].shape)
+        return white
+
+    def change(self, before: "ErrorsTogether") -> float:
+        """Return the largest change of the errors' scale or correlation since `before`."""
+        pairs = zip(self._factors, before._factors, strict=True)
+        return max(float(np.abs(np.linalg.solve(old, new) - np.eye(len(new))).max()) for (_, new), (_, old) in pairs)
