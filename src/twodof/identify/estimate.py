@@ -18,7 +18,7 @@ from twodof.models.structure import Structure
 
 Array = NDArray[np.float64]
 
-_CONTRADICTED = 3.0
+CONTRADICTED = 3.0
 """Standard deviations between an estimate and its prior that are not put down to chance."""
 
 _UNTOLD = 0.9
@@ -325,7 +325,7 @@ def _on_priors(found: Estimate) -> Iterator[str]:
     for label in found.labels:
         mean, width = found.prior.get(label.partition("[")[0], (0.0, math.inf))
         known = f"{mean:.3g} +- {width:.2g}"
-        if abs(found[label] - mean) > _CONTRADICTED * width:
+        if abs(found[label] - mean) > CONTRADICTED * width:
             yield (
                 f"the data contradict what was known of {label}, {known}: "
                 "give another `prior`, or look for what the structure leaves out"

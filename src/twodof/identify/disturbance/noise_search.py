@@ -14,6 +14,7 @@ from twodof.identify.disturbance.coloured_problem import ColouredProblem, swings
 from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel, inputs_that_answer
 from twodof.identify.disturbance.gust import GustModel, can_be_pushed
 from twodof.identify.disturbance.walk import MOST, WalkModel, is_unstable
+from twodof.identify.estimate import CONTRADICTED
 from twodof.identify.least_squares import LeastSquaresMinimum
 from twodof.identify.problem import Problem
 from twodof.identify.validate import is_rounding, whiteness
@@ -179,12 +180,19 @@ def _settled(problem: Problem, white: Disturbed, found: Disturbed) -> Disturbed:
             change = math.inf
         if not coloured and diverges(problem, problem.residual(found.minimum.x)):
             change = math.inf
-        if change > _MUCH:
+        # Output error that takes a push for the swing contradicts what is known of it, and proves nothing.
+        mistaken = found.model.swing and _contradicts(problem, white) and not _contradicts(problem, found)
+        if change > _MUCH and not mistaken:
             better = _better(problem, white.minimum, found.minimum.x)
             if better is not None:
                 return search(problem, better, "auto", False)
             return replace(white, model=DisturbanceModel(change=change))
     return found
+
+
+def _contradicts(problem: Problem, found: Disturbed) -> bool:
+    """Return True if an estimate is off what was known of it before by more than chance."""
+    return bool((np.abs(found.prediction_error[problem.size :]) > CONTRADICTED).any())
 
 
 def likelier(problem: Problem, found: Disturbed, predictor: Disturbed) -> Disturbed:
