@@ -314,7 +314,7 @@ def test_a_frozen_page_does_not_keep_the_drone(tmp_path: Path, monkeypatch: pyte
         assert server.ask("GET", "/api/drones/1").json["mode"] == "offboard"
         client.event("drone", armed=False)  # and then no more
         said = [line["text"] for line in server.ask("GET", "/api/drones/1/texts").json]
-        assert any("stands still for 0.4 s: the drone is levelled" in line for line in said)
+        assert any("stands still for 0.4 s: the drone is levelled" in line for line in said), said
 
 
 @pytest.mark.long
