@@ -181,7 +181,8 @@ def _settled(problem: Problem, white: Disturbed, found: Disturbed) -> Disturbed:
         if not coloured and diverges(problem, problem.residual(found.minimum.x)):
             change = math.inf
         # Output error that takes a push for the swing contradicts what is known of it, and proves nothing.
-        mistaken = found.model.swing and _contradicts(problem, white) and not _contradicts(problem, found)
+        pushed = found.model.swing or not coloured
+        mistaken = pushed and _contradicts(problem, white) and not _contradicts(problem, found)
         if change > _MUCH and not mistaken:
             better = _better(problem, white.minimum, found.minimum.x)
             if better is not None:
