@@ -139,11 +139,7 @@ export interface LabSession {
 
 export const labSession = () => get<LabSession>("session");
 
-export function viewersLink(watchLink: string, here: URL): string {
-  return new URL(watchLink, here).href + here.hash;
-}
+export const viewersLink = (watchLink: string, here: URL): string => new URL(watchLink, here).href + here.hash;
 
 /** Return whether a link works on this computer only. */
-export function isThisComputerOnly(link: URL): boolean {
-  return /^(localhost|127(\.\d+){3}|\[::1\])$/.test(link.hostname);
-}
+export const isThisComputerOnly = (link: URL): boolean => /^(localhost|127(\.\d+){3}|\[::1\])$/.test(link.hostname);

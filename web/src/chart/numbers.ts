@@ -16,9 +16,8 @@ export function live(value: number, unit: string): string {
 }
 
 /** Format a number at a tick; "" if a logarithmic axis omits it. */
-export function tick(value: number | null): string {
-  return value === null ? "" : written(String(Number(value.toPrecision(10))));
-}
+export const tick = (value: number | null): string =>
+  value === null ? "" : written(String(Number(value.toPrecision(10))));
 
 export const quantity = (value: number, unit: string): string => `${figure(value)} ${unit}`.trimEnd();
 

@@ -46,6 +46,4 @@ export async function tried(work: () => Promise<unknown>): Promise<boolean> {
   }
 }
 
-export function putAway(id: number): void {
-  toasts.now = toasts.now.filter((one) => one.id !== id);
-}
+export const putAway = (id: number): void => void (toasts.now = toasts.now.filter((one) => one.id !== id));

@@ -24,9 +24,8 @@ export function failsafeSentence(state: DroneState): string {
 /** Why a drone that a page has stopped does nothing. */
 export const RELEASE = "Stopped: press Release the stop first.";
 
-function linkWord(state: DroneState): Word {
-  return state.link === "heard" ? { kind: "good", text: "Link" } : { kind: "bad", text: "Link lost" };
-}
+const linkWord = ({ link }: DroneState): Word =>
+  link === "heard" ? { kind: "good", text: "Link" } : { kind: "bad", text: "Link lost" };
 
 /** Return whether the failsafe has stopped the motors, and neither Arm nor Disarm has acknowledged it. */
 export const stoppedByFailsafe = (state: DroneState): boolean =>

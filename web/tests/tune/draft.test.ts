@@ -47,6 +47,15 @@ const ROWS = [
   }),
 ];
 
+it("says that the user's controller replaces a loop", () => {
+  const named = (rows: ParameterRow[], all: ParameterRow[]) => grouped(rows, all).map(([group]) => group);
+  expect(named([row("RATE_KP"), row("VEL_KP")], ROWS)).toEqual([
+    "Rate loop: replaced by your controller",
+    "Velocity loop",
+  ]);
+  expect(named([row("RATE_KP")], [row("RATE_KP")])).toEqual(["Rate loop"]);
+});
+
 it("shows the corner of a filter in rad/s, and other rates in deg/s", () => {
   const corner = row("RATE_N", {
     unit: "rad/s",
@@ -66,7 +75,7 @@ describe("the list", () => {
     const names = grouped(ROWS).map(([group, rows]) => [group, rows.map((one) => one.name)]);
     expect(names).toEqual([
       ["Your controller: attitude control", ["AC_Q_KP"]],
-      ["Rate loop", ["RATE_KP"]],
+      ["Rate loop: replaced by your controller", ["RATE_KP"]],
       ["Failsafe", ["SAFE_LINK_T"]],
       ["Vehicle", ["BAT1_N_CELLS"]],
     ]);

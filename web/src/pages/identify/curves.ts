@@ -48,6 +48,5 @@ export function testWords(test: ResidualTest): string {
 }
 
 /** Return the magnitude of a correlation, 0 to 1. */
-export function strength(value: number | null): number {
-  return value === null || !Number.isFinite(value) ? 0 : Math.min(1, Math.abs(value));
-}
+export const strength = (value: number | null): number =>
+  value === null || !Number.isFinite(value) ? 0 : Math.min(1, Math.abs(value));

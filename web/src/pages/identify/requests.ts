@@ -10,9 +10,8 @@ export function byLoop(rows: readonly ExperimentRow[]): readonly (readonly [stri
   ];
 }
 
-export function experimentRequest(row: ExperimentRow, own: Excitation | undefined): ExperimentRequest {
-  return own === undefined ? { name: row.name } : { name: row.name, excitation: own };
-}
+export const experimentRequest = ({ name }: ExperimentRow, excitation: Excitation | undefined): ExperimentRequest =>
+  excitation === undefined ? { name } : { name, excitation };
 
 /** Return the experiment that a log is named after. */
 export function experimentOf(log: string, names: readonly string[]): string | undefined {
@@ -21,9 +20,8 @@ export function experimentOf(log: string, names: readonly string[]): string | un
 }
 
 /** Return the newest log of an experiment; `flights` are sorted. */
-export function latestOf(flights: readonly string[], name: string, names: readonly string[]): string | undefined {
-  return flights.find((log) => experimentOf(log, names) === name);
-}
+export const latestOf = (flights: readonly string[], name: string, names: readonly string[]): string | undefined =>
+  flights.find((log) => experimentOf(log, names) === name);
 
 /** Read a typed window [s]; undefined if it is empty, or why it is refused. */
 export function windowOf(from: string, to: string): [number, number] | undefined | string {

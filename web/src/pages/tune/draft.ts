@@ -23,19 +23,30 @@ export function groupOf(row: ParameterRow): string {
   return GROUPS.find(([start]) => row.name.startsWith(start))?.[1] ?? "Vehicle";
 }
 
+const REPLACED: Record<string, readonly string[]> = {
+  attitude_control: ["Rate loop", "Attitude loop"],
+  position_control: ["Velocity loop", "Position loop"],
+};
+const isReplaced = (rows: readonly ParameterRow[], group: string): boolean =>
+  rows.some(({ path }) => REPLACED[path.split(".")[0]!]?.includes(group));
+
 const TERMS = ["KP", "KI", "KD", "N"];
 function term(row: ParameterRow): number {
   const at = TERMS.indexOf((row.path || row.name).toUpperCase().split(/[._]/).at(-1)!);
   return at < 0 ? TERMS.length : at;
 }
 
-/** Group the rows, gains first. */
-export function grouped(rows: readonly ParameterRow[]): readonly (readonly [group: string, rows: ParameterRow[]])[] {
+/** Group rows of `all`, gains first. */
+export function grouped(
+  rows: readonly ParameterRow[],
+  all = rows,
+): readonly (readonly [group: string, rows: ParameterRow[]])[] {
   const order = ["Your controller", ...GROUPS.map(([, label]) => label), "Vehicle"];
   const found = new Map<string, ParameterRow[]>();
   for (const row of rows) {
     if (row.same_as !== "") continue;
-    found.set(groupOf(row), [...(found.get(groupOf(row)) ?? []), row]);
+    const group = groupOf(row) + (isReplaced(all, groupOf(row)) ? ": replaced by your controller" : "");
+    found.set(group, [...(found.get(group) ?? []), row]);
   }
   for (const list of found.values()) list.sort((a, b) => term(a) - term(b) || a.name.localeCompare(b.name));
   const place = (group: string) => order.findIndex((one) => group === one || group.startsWith(`${one}:`));
