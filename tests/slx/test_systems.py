@@ -534,3 +534,104 @@ def test_a_for_each_acts_once_for_each_part(tmp_path: Path) -> None:
     got = flown(found, u=DRAWN.T, v=DRAWN[:2].T)["y"]
     wanted = 1.0 + np.cumsum(DRAWN.T + np.tile(DRAWN[:2].T, 2), axis=0)
     assert np.allclose(got, wanted, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_for_iterator_acts_as_often_as_its_input_says(tmp_path: Path, reset: bool) -> None:
+    """Simulink's documentation: states go from turn to turn, and are reset at each step or held; outputs stay."""
+    states = {"ResetStates": "reset"} if reset else {}
+    inside: Blocks = [
+        ("Inport", "n", {}),
+        ("ForIterator", "for", {"Ports": "[1, 1]", "IterationSource": "external", **states,
+                                "IterationVariableDataType": "int8"}),
+        ("DataTypeConversion", "k", {"OutDataTypeStr": "double"}),
+        ("Sum", "sum", {"Ports": "[2, 1]"}),
+        ("UnitDelay", "z", {"InitialCondition": "1", "SampleTime": "-1"}),
+        ("Outport", "out", {}),
+    ]  # fmt: skip
+    lines: Lines = [("n", "for"), ("for", "k"), ("k", "sum:1"), ("z", "sum:2"), ("sum", "z"), ("sum", "out")]
+    blocks: Blocks = [("Inport", "u", REAL), ("SubSystem", "s", {"Ports": "[1, 1]"}, (inside, lines)),
+                      ("Outport", "y", {})]  # fmt: skip
+    found = imported(tmp_path, blocks, [("u", "s"), ("s", "y")])
+    turns, wanted, state, y = np.array([0.0, 3.0, 200.0, 0.0, 2.7, -1.0]), [], 1.0, 0.0
+    for count in np.clip(np.trunc(turns), 0, 127):
+        state = 1.0 if reset else state
+        for k in range(1, int(count) + 1):
+            y = state = state + k
+        wanted.append(y)
+    assert np.array_equal(flown(found, u=turns)["y"], wanted)
+    assert [line.why for line in found.report if line.path == "s/turn"] == ["it is iterated 127 times at most"]
+
+
+@pytest.mark.parametrize("kind", ["while", "do-while"])
+def test_a_while_iterator_acts_until_its_condition_fails(tmp_path: Path, kind: str) -> None:
+    """The documentation's example: add the number of the turn until a sum is reached."""
+    values = {"WhileBlockType": kind, "MaxIters": "6", "ResetStates": "reset", "ShowIterationPort": "on"}
+    inside: Blocks = [
+        ("Inport", "most", {}),
+        ("Inport", "first", {"Port": "2"}),
+        ("WhileIterator", "while", {"Ports": "[2, 1]" if kind == "while" else "[1, 1]", **values}),
+        ("DataTypeConversion", "k", {"OutDataTypeStr": "double"}),
+        ("Sum", "sum", {"Ports": "[2, 1]"}),
+        ("Memory", "z", {}),
+        ("RelationalOperator", "goes", {"Operator": "<"}),
+        ("Outport", "out", {}),
+    ]
+    lines: Lines = [("while", "k"), ("k", "sum:1"), ("z", "sum:2"), ("sum", "z"), ("sum", "out"), ("sum", "goes:1"),
+                    ("most", "goes:2"), ("goes", "while:1")]  # fmt: skip
+    lines += [("first", "while:2")] if kind == "while" else []
+    blocks: Blocks = [("Inport", "u", REAL), ("Inport", "v", {"Port": "2", **REAL}),
+                      ("SubSystem", "s", {"Ports": "[2, 1]"}, (inside, lines)), ("Outport", "y", {})]  # fmt: skip
+    found = imported(tmp_path, blocks, [("u", "s:1"), ("v", "s:2"), ("s", "y")])
+    most, first = np.array([3.0, 7.0, 9.0, 100.0, -1.0]), np.array([1.0, 1.0, 0.0, 1.0, 1.0])
+    wanted, y = [], 0.0
+    for bound, begins in zip(most, first, strict=True):
+        total, turn, goes = 0.0, 1, kind == "do-while" or begins != 0.0
+        while goes and turn <= 6:
+            y = total = total + turn
+            goes, turn = total < bound, turn + 1
+        wanted.append(y)
+    assert np.array_equal(flown(found, u=most, v=first)["y"], wanted)
+
+
+def loop_model(tmp_path: Path, function: Blocks) -> Imported:
+    """Import y = u - f(y), where `f` is a block, and the integral of y."""
+    blocks: Blocks = [("Inport", "u", REAL), ("Sum", "sum", {"Ports": "[2, 1]", "Inputs": "+-"}), *function,
+                      ("Integrator", "x", {}), ("Outport", "y", {}), ("Outport", "z", {"Port": "2"})]  # fmt: skip
+    lines: Lines = [("u", "sum:1"), ("sum", "f"), ("f", "sum:2"), ("sum", "x"), ("sum", "y"), ("x", "z")]
+    return imported(tmp_path, blocks, lines)
+
+
+def test_a_linear_algebraic_loop_is_solved(tmp_path: Path) -> None:
+    inside: tuple[Blocks, Lines] = (
+        [("Inport", "in", {}), ("Gain", "g", {"Gain": "3"}), ("Outport", "out", {})], [("in", "g"), ("g", "out")]
+    )  # fmt: skip
+    for number, f in enumerate([("Gain", "f", {"Gain": "3"}), ("SubSystem", "f", {"Ports": "[1, 1]"}, inside)]):
+        (tmp_path / str(number)).mkdir()
+        found = loop_model(tmp_path / str(number), [f])
+        assert any("is solved by 20 steps of Newton's method" in note for note in found.notes)
+        got = flown(found, u=DRAWN[0])
+        assert np.allclose(got["y"], DRAWN[0] / 4.0, rtol=0.0, atol=1e-12)
+        wanted = np.r_[0.0, np.cumsum(DRAWN[0] / 4.0 * DT)[:-1]]  # the input is held within a step
+        assert np.allclose(got["z"], wanted, rtol=0.0, atol=1e-12)
+
+
+def test_an_algebraic_loop_is_solved_or_is_nan(tmp_path: Path) -> None:
+    """y = u - exp(y) has one solution, y = u - y^2 has none for u below -1/4, where Simulink ends the simulation."""
+    found = loop_model(tmp_path, [("Math", "f", {"Operator": "exp"})])
+    y = flown(found, u=3.0 * DRAWN[0])["y"]
+    assert np.allclose(y + np.exp(y), 3.0 * DRAWN[0], rtol=0.0, atol=1e-9)
+    (tmp_path / "square").mkdir()
+    found = loop_model(tmp_path / "square", [("Math", "f", {"Operator": "square"})])
+    assert np.isnan(flown(found, u=np.array([0.5, -1.0]))["y"]).tolist() == [False, True]
+
+
+def test_an_algebraic_loop_through_a_state_space_keeps_its_state(tmp_path: Path) -> None:
+    """A loop over (s + 2)/(s + 1): y = u - (y + x), x' = y - x, so y = (u - x)/2 and x' = (u - 3 x)/2."""
+    transfer = {"Numerator": "[1 2]", "Denominator": "[1 1]"}
+    found = loop_model(tmp_path, [("TransferFcn", "f", transfer)])
+    y, x, wanted = flown(found, u=np.ones(STEPS))["y"], 0.0, []
+    for _ in range(STEPS):
+        wanted.append((1.0 - x) / 2.0)
+        x = 1.0 / 3.0 + (x - 1.0 / 3.0) * np.exp(-1.5 * DT)
+    assert np.allclose(y, wanted, rtol=0.0, atol=1e-9)

@@ -5,11 +5,14 @@ one block: here the blocks become selectors behind an Inport, or signals of a cr
 """
 
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import replace
 
+from twodof.slx.conditions import CONTROL_PORTS, ITERATED
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import Value, scalar
 from twodof.slx.model import Line, Pin, SimulinkBlock, System, Wire, port_number
+from twodof.slx.network import Iteration
 from twodof.slx.translation import NotTranslated
 
 
@@ -107,6 +110,56 @@ def with_each(system: System, names: Mapping[str, Value]) -> tuple[System, list[
             source = Pin(middle, "out", k) if middle in made.blocks else Pin(port.sid, "out", 1)
             made.lines.append(Line("", source, Wire([], Pin(sid, "in", number), [])))
     return made, copies
+
+
+MOST_TURNS = 1000
+"""Most turns of a subsystem that is iterated: a number that is not written is bounded by it."""
+
+
+def with_iterated(system: System, names: Mapping[str, Value]) -> tuple[System, Iteration]:
+    """Return a system that holds what is inside a For or While Iterator as `turn`, and how that is iterated.
+
+    Inside, the number of the turn is an input more; what the iterator reads are outputs more. Raises NotTranslated for
+    an iterator whose next number is an input.
+    """
+    sid, block = next((sid, one) for sid, one in system.blocks.items() if one.type in ITERATED)
+    said, loops = block.values, block.type == "WhileIterator"
+    if any(one.type in CONTROL_PORTS for one in system.blocks.values()) or said.get("ExternalIncrement", "off") == "on":
+        raise NotTranslated(
+            f"a {block.type} beside a control port, or whose next number is an input, is not translated"
+        )
+    text, kind = ("MaxIters" if loops else "IterationLimit"), said.get("IterationVariableDataType", "int32")
+    outside = not loops and said.get("IterationSource", "internal") == "external"
+    count = MOST_TURNS if outside else int(scalar(evaluate(said.get(text, "5"), names, text)))
+    most = min(count if count >= 0 else MOST_TURNS, {"int8": 127, "uint8": 255}.get(kind, MOST_TURNS))
+    ports = [one for one in system.blocks.values() if one.type in ("Inport", "Outport")]
+    sides = [sum(one.type == side for one in ports) for side in ("Inport", "Outport")]
+    extra = int(outside) if not loops else 2 - (said.get("WhileBlockType", "while") == "do-while")
+    made = System(
+        {one.sid: SimulinkBlock(one.type, one.name, one.sid, {"Port": str(port_number(one))}) for one in ports}, []
+    )
+    inner = System(dict(system.blocks), deepcopy(system.lines))
+    inner.blocks[sid] = SimulinkBlock("Inport", block.name, sid, {"Port": str(sides[0] + 1)})
+    for k in range(1, extra + 1):
+        inner.blocks[f"{sid} {k}"] = SimulinkBlock(
+            "Outport", f"{block.name} {k}", f"{sid} {k}", {"Port": str(sides[1] + k)}
+        )
+    stack = [line.wire for line in inner.lines]
+    while stack:
+        wire = stack.pop()
+        stack += wire.branches
+        if wire.sink is not None and wire.sink.sid == sid:
+            wire.sink = Pin(f"{sid} {wire.sink.number}", "in", 1)
+    made.blocks["turn"] = SimulinkBlock("SubSystem", "turn", "turn", {}, ports=(sides[0] + 1, sides[1]), system=inner)
+    made.blocks[sid] = SimulinkBlock("Constant", block.name, sid, {"OutDataTypeStr": kind}, ports=(0, 1))
+    made.lines += [_line("", one.sid, Pin("turn", "in", port_number(one))) for one in ports if one.type == "Inport"]
+    made.lines.append(_line("", sid, Pin("turn", "in", sides[0] + 1)))
+    for one in ports:
+        if one.type == "Outport":
+            made.lines.append(Line("", Pin("turn", "out", port_number(one)), Wire([], Pin(one.sid, "in", 1), [])))
+    first = int(said.get("IndexMode", "One-based") != "Zero-based")
+    bounded = outside or count != most
+    return made, Iteration(most, extra, first, loops, said.get("ResetStates", "held") == "held", bounded)
 
 
 _RECORDED = {"FromWorkspace": "VariableName", "FromFile": "FileName"}

@@ -45,8 +45,6 @@ def conditions_of(system: System) -> list[Activation]:
     """Return the conditions of a system. Raises NotTranslated for ones that have no equivalent."""
     found = []
     for block in system.blocks.values():
-        if block.type in ITERATED:
-            raise NotTranslated(f"a subsystem with a {block.type} is not translated")
         if block.type not in CONTROL_PORTS or block.commented:
             continue
         if block.values.get("ShowOutputPort", "off") == "on" and block.type != "EnablePort":

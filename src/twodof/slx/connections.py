@@ -1,7 +1,14 @@
-"""The sheets, blocks and signals of a model, and the output that drives an input, wherever that stands."""
+"""The sheets, blocks and signals of a model, the output that drives an input wherever that stands, and the rates.
 
-from collections.abc import Callable, Mapping
+A block without a sample time of its own takes the fastest one of its inputs, as Simulink does.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import reduce
+from math import gcd, lcm
 
 import numpy as np
 
@@ -12,6 +19,7 @@ from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Activation
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import NotComputed, Value, number
 from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, port_number
+from twodof.slx.network import Iteration
 from twodof.slx.sheet import Sheet
 from twodof.slx.translation import Made, NotTranslated, Signal
 
@@ -33,6 +41,59 @@ def store_name(block: SimulinkBlock) -> str:
     return block.values.get("DataStoreName", "A")
 
 
+Key = tuple[str, str]
+"""A block: path of its system and identifier."""
+CONTINUOUS = ("Integrator", "SecondOrderIntegrator", "TransferFcn", "StateSpace", "ZeroPole", "Derivative",
+              "TransportDelay")  # fmt: skip
+"""Types whose step is the solver's."""
+
+EVERY_SECOND = ("DigitalClock", "DiscreteIntegrator", "DiscretePulseGenerator", "DiscreteStateSpace", "UnitDelay",
+                "ZeroOrderHold")  # fmt: skip
+"""Types with a sample time of 1 s where the file does not say it."""
+
+
+def base_period(times: Mapping[float, str], given: float | None = None) -> float:
+    """Return the longest period [s] of which all `times` are multiples, or the `given` one; each has a place's name.
+
+    Raises NotTranslated where there is none, or a time is no multiple of the given one.
+    """
+    if given is not None:
+        for time, where in times.items():
+            if abs(time / given - round(time / given)) > 1e-6:
+                raise NotTranslated(f"{time:g} s ({where}) is no multiple of {given:g} s (--dt)")
+        return given
+    parts = [Fraction(time).limit_denominator(10**7) for time in times]
+    below = lcm(*(part.denominator for part in parts))
+    common = Fraction(reduce(gcd, (int(part * below) for part in parts)), below)
+    nearest = min(times)
+    if common == Fraction(nearest).limit_denominator(10**7):
+        return nearest  # its own bits
+    if common * 10**5 < max(parts):
+        several = ", ".join(f"{time:g} s ({where})" for time, where in sorted(times.items()))
+        raise NotTranslated(f"these periods have no common one: {several}")
+    return float(common)
+
+
+def inherited(declared: Mapping[Key, Rate], sources: Mapping[Key, Set[Key]]) -> dict[Key, Rate]:
+    """Return the rates of all blocks that have one, `declared` or from the blocks in `sources` that feed them."""
+    rates = dict(declared)
+    followers: dict[Key, list[Key]] = {}
+    for key, feeding in sources.items():
+        for one in feeding:
+            followers.setdefault(one, []).append(key)
+    waiting = deque(declared)
+    while waiting:
+        for key in followers.get(waiting.popleft(), ()):
+            found = [rates[one] for one in sources[key] if one in rates]
+            fastest = min(found)
+            if any(one.divider % fastest.divider or (one.offset - fastest.offset) % fastest.divider for one in found):
+                fastest = BASE
+            if key not in declared and (faster := min(fastest, rates.get(key, fastest))) != rates.get(key):
+                rates[key] = faster
+                waiting.append(key)
+    return rates
+
+
 @dataclass(frozen=True)
 class ReportLine:
     """A line of the report: block path, its kind, what became of it, and why."""
@@ -50,6 +111,8 @@ class Connections:
     def __init__(self, model: Model, path: str) -> None:
         self.model, self.path = model, collapsed(path).strip("/")
         self.notes = list[str]()
+        self.iterated = dict[str, Iteration]()
+        """How systems at these paths are iterated."""
         self.report: list[ReportLine] = []
         self.defaults = {self.path: model.defaults}
         self.sheets: dict[str, Sheet] = {}

@@ -18,13 +18,24 @@ from twodof.blocks import Diagram
 from twodof.blocks.bus import Bus, leaves_of
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.enumeration import Kind
-from twodof.blocks.library import DataStore, RateTransition, StoreRead, StoreWrite, ZeroOrderHold
+from twodof.blocks.library import DataStore, StoreRead, StoreWrite
 from twodof.errors import DiagramError
 from twodof.slx.blocks import DROPPED, RULES, carried_out
-from twodof.slx.bus_ports import with_bus_ports, with_each, with_inputs, with_ports, with_recorded
+from twodof.slx.bus_ports import with_bus_ports, with_each, with_inputs, with_iterated, with_ports, with_recorded
 from twodof.slx.chart import function_rule
-from twodof.slx.conditions import CONTROL_PORTS, conditions_of, without_events
-from twodof.slx.connections import PASSING, STORES, Output, ReportLine, active_choice, store_name
+from twodof.slx.conditions import CONTROL_PORTS, ITERATED, conditions_of, without_events
+from twodof.slx.connections import (
+    CONTINUOUS,
+    EVERY_SECOND,
+    PASSING,
+    STORES,
+    Output,
+    ReportLine,
+    active_choice,
+    base_period,
+    inherited,
+    store_name,
+)
 from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
@@ -47,8 +58,8 @@ from twodof.slx.model import (
     read_model,
     source_file,
 )
+from twodof.slx.network import with_solved_loops
 from twodof.slx.precision import ROUTES, precise
-from twodof.slx.rates import CONTINUOUS, EVERY_SECOND, base_period, inherited
 from twodof.slx.sheet import (
     BACKWARDS,
     KEEPS_TYPE,
@@ -62,7 +73,7 @@ from twodof.slx.sheet import (
     width_wanted,
 )
 from twodof.slx.toolbox_blocks import TOOLBOXES
-from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal, plain
+from twodof.slx.translation import TYPES, Asked, Made, NotTranslated, Rule, Signal
 from twodof.slx.wiring import Wiring, safe
 
 MOST_GUESSES = 12
@@ -154,6 +165,8 @@ class _Import(Wiring):
         imported = Imported(None, self.dt, self.report, self.notes)
         if not imported.refused:
             diagram = self._diagram(self.path)
+            with suppress(DiagramError):  # what is wrong with it is said when it is compiled
+                self.notes += with_solved_loops(diagram)
             imported.diagram = None if imported.refused else diagram  # some things only the connections show
         order = {"refused": 0, "not reached": 1, "approximated": 2, "dropped": 3, "imported": 4}
         self.report.sort(key=lambda line: order[line.status])
@@ -269,9 +282,16 @@ class _Import(Wiring):
         system = block.system
         if system is not None and any(one.type == "ForEach" for one in system.blocks.values()):
             system, copies = with_each(system, names)
-            within = {path.removeprefix(at): one for path, one in self.code.items() if path.startswith(f"{at}/")}
-            self.code |= {f"{at}/{copy}{path}": one for copy in copies for path, one in within.items()}
+            self._copy_code(at, copies)
+        elif system is not None and any(one.type in ITERATED for one in system.blocks.values()):
+            system, self.iterated[f"{at}/turn"] = with_iterated(system, names)
+            self._copy_code(at, ["turn"])
         return system, block
+
+    def _copy_code(self, at: str, copies: Sequence[str]) -> None:
+        """Let the MATLAB Functions and charts of a system be those of the subsystems that stand for it inside."""
+        within = {path.removeprefix(at): one for path, one in self.code.items() if path.startswith(f"{at}/")}
+        self.code |= {f"{at}/{copy}{path}": one for copy in copies for path, one in within.items()}
 
     def _referenced(self, block: SimulinkBlock, names: dict[str, Value], at: str) -> System:
         """Return the top of the model that a block refers to. It sees the workspace and its arguments, no masks."""
@@ -660,34 +680,6 @@ class _Import(Wiring):
             return Made(StoreWrite(safe(f"store_{name}", set()), kind, signal.width), [])
 
         return made
-
-    def _transition(self, key: tuple[str, str], c: Asked) -> Made | None:
-        """Return the delay of a Rate Transition whose input is slower; None where it only samples.
-
-        One that need not be deterministic is late by a tick: the task of the slower blocks comes after that of the
-        faster ones, as in MathWorks' multitasking code.
-        """
-        origin = self._origin(key[0], self._inputs(key)[0])
-        if origin is None:
-            return None
-        inport = self.blocks[origin[:2]].type == "Inport"  # the diagram's is read in every tick
-        before = self.rates.get(origin[:2], BASE) if inport else self._rate(origin[:2])
-        if before is None or before.divider <= self.rates.get(key, BASE).divider:
-            return None
-        one, start = c.inputs[0], c.scalar("InitialCondition" if "InitialCondition" in c.values else "X0", "0")
-        late = RateTransition(plain(start, one.kind), one.kind, one.width)
-        if c.text("Deterministic", "on") == "on":
-            self.held[key] = before
-            return Made(late, [one])
-        self.held[key] = BASE
-        c.notes.append("passes a slower value on a tick later, as MathWorks' multitasking code does")
-        d = Diagram("transition")
-        d.input("u", one.kind, one.width)
-        d.add("held", ZeroOrderHold(one.kind, one.width), rate=before, u="u")
-        d.add("late", late, u="held")
-        d.add("y", ZeroOrderHold(one.kind, one.width), rate=self.rates.get(key, BASE), u="late")
-        d.output("y", "y")
-        return Made(d, [one])
 
 
 def _single(signal: Signal) -> Signal:

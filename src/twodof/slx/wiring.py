@@ -10,14 +10,15 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.blocks.block import Block as LibraryBlock
 from twodof.blocks.diagram import BASE, Rate
-from twodof.blocks.library import Constant, DataStore, Logic, Merge, StoreRead, ZeroOrderHold
+from twodof.blocks.library import Constant, DataStore, Logic, Merge, RateTransition, StoreRead, ZeroOrderHold
 from twodof.slx.conditions import Activation, ControlEdge
 from twodof.slx.connections import PASSING, Connections, Output, store_name
 from twodof.slx.data_types import signal_of, value_of
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array, number
 from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number
-from twodof.slx.translation import NotTranslated, Signal, expanded, names_of, plain
+from twodof.slx.network import Iterated
+from twodof.slx.translation import Asked, Made, NotTranslated, Signal, expanded, names_of, plain
 
 
 class Wiring(Connections):
@@ -46,16 +47,21 @@ class Wiring(Connections):
         for sid, block in system.blocks.items():
             self._try((path, sid), partial(self._wire, diagram, path, sid, block, names))
         for sid, _ in outports:
-            source = self._name(path, self._source(path, Pin(sid, "in", 1)), names, diagram)
-            if "." not in source and source not in diagram.parts:  # an output of a diagram is fed by a part
-                signal = self._type(path, Pin(sid, "in", 1)) or Signal()
-                passed = safe(f"{source}_passed", taken)
-                diagram.add(passed, ZeroOrderHold(signal.kind, signal.width))
-                diagram.connect(source, passed)
-                source = passed
-            diagram.output(names[sid], source)
-            self._report(path, sid, "imported")
+            self._try((path, sid), partial(self._lead_out, diagram, path, sid, names, taken))
         return diagram
+
+    def _lead_out(self, diagram: Diagram, path: str, sid: str, names: Mapping[str, str], taken: set[str]) -> None:
+        """Feed an output of a diagram."""
+        source = self._name(path, self._source(path, Pin(sid, "in", 1)), names, diagram)
+        if "." not in source and source not in diagram.parts:  # an output of a diagram is fed by a part
+            signal = self._type(path, Pin(sid, "in", 1)) or Signal()
+            passed = safe(f"{source}_passed", taken)
+            taken.add(passed)
+            diagram.add(passed, ZeroOrderHold(signal.kind, signal.width))
+            diagram.connect(source, passed)
+            source = passed
+        diagram.output(names[sid], source)
+        self._report(path, sid, "imported")
 
     @staticmethod
     def _ordered(system: System) -> Iterator[tuple[str, SimulinkBlock]]:
@@ -77,7 +83,13 @@ class Wiring(Connections):
                 self._report(path, sid, "imported")
             return
         if self._is_system(block):
-            diagram.add(names[sid], self._diagram(inner), initial=self._initial(inner), position=_corner(block))
+            whole, how = self._diagram(inner), self.iterated.get(inner)
+            if how is None:
+                diagram.add(names[sid], whole, initial=self._initial(inner), position=_corner(block))
+            else:
+                diagram.add(names[sid], Iterated(whole, how))
+            if how is not None and how.bounded:
+                self.approximated.setdefault((path, sid), []).append(f"it is iterated {how.most} times at most")
             self._report(path, sid, "imported")
             return
         made = self.made[path, sid]
@@ -239,6 +251,8 @@ class Wiring(Connections):
         if block.type in ("Inport", "InportShadow"):
             shown = self.sheets[path].ports.get(("Inport", port_number(block)))
             return names[shown or sid]
+        if names[sid] not in diagram.parts:
+            raise NotTranslated("it hangs on a part that is refused")
         return f"{names[sid]}.{names_of(diagram.parts[names[sid]].item, outputs=True)[output - 1]}"
 
     def _reach(self, path: str, source: Output) -> str:
@@ -263,6 +277,34 @@ class Wiring(Connections):
             signal = Signal() if origin is None else self.signals[origin]
             sheet.diagram.declare(signal.port(name))
         return sheet.helpers[wanted]
+
+    def _transition(self, key: tuple[str, str], c: Asked) -> Made | None:
+        """Return the delay of a Rate Transition whose input is slower; None where it only samples.
+
+        One that need not be deterministic is late by a tick: the task of the slower blocks comes after that of the
+        faster ones, as in MathWorks' multitasking code.
+        """
+        origin = self._origin(key[0], self._inputs(key)[0])
+        if origin is None:
+            return None
+        inport = self.blocks[origin[:2]].type == "Inport"  # the diagram's is read in every tick
+        before = self.rates.get(origin[:2], BASE) if inport else self._rate(origin[:2])
+        if before is None or before.divider <= self.rates.get(key, BASE).divider:
+            return None
+        one, start = c.inputs[0], c.scalar("InitialCondition" if "InitialCondition" in c.values else "X0", "0")
+        late = RateTransition(plain(start, one.kind), one.kind, one.width)
+        if c.text("Deterministic", "on") == "on":
+            self.held[key] = before
+            return Made(late, [one])
+        self.held[key] = BASE
+        c.notes.append("passes a slower value on a tick later, as MathWorks' multitasking code does")
+        d = Diagram("transition")
+        d.input("u", one.kind, one.width)
+        d.add("held", ZeroOrderHold(one.kind, one.width), rate=before, u="u")
+        d.add("late", late, u="held")
+        d.add("y", ZeroOrderHold(one.kind, one.width), rate=self.rates.get(key, BASE), u="late")
+        d.output("y", "y")
+        return Made(d, [one])
 
     def _report(self, path: str, sid: str, status: str, why: str = "") -> None:
         notes = self.approximated.get((path, sid), [])
