@@ -162,7 +162,7 @@ S = M * Q * M' + eye(2);
 K = (Q * M') / S;
 P = K;
 y = Q \\ v;
-e = inv(S) * v(1:2) + det(S(1:1, 1:1)) * [1; -1];
+e = inv(S) * v(1:2) + S^-2 * v(2:3) + det(S(1:1, 1:1)) * [1; -1];
 s = [sum(M(:)), norm(v), v' * v, max(v), min(v), mean(v), prod(v), cumsum(v)', trace(Q)];
 y(end) = y(end) - dot(v, v) + sum(cross(v, [1; 2; 3]));
 end

@@ -476,6 +476,9 @@ class Program:
         """Compute an operation of two values; the library solves a system with signals."""
         if self.wraps is not None:
             operator, left, right = operation_in_c(operator, left, right, self.wraps)
+        if operator == "^" and is_signal(left) and isinstance(right, np.ndarray) and as_array(left).size > right.size:
+            if not is_signal(right) and right.size == 1 and right.item() < 0:  # that of the inverse
+                left, right = self.called("inv", [left], True), -right
         matrix = {"\\": left, "/": right}.get(operator)
         if not isinstance(matrix, np.ndarray) or matrix.size == 1 or not (is_signal(left) or is_signal(right)):
             return self.evaluation.apply(operator, left, right)
