@@ -34,10 +34,10 @@ def one_block(tmp_path: Path, kind: str, values: dict[str, str], kinds: tuple[st
     return import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
 
 
-def run(found: Imported, inputs: list[np.ndarray]) -> np.ndarray:
+def run(found: Imported, inputs: list[np.ndarray], precision: str = "float64") -> np.ndarray:
     assert found.diagram is not None, found.refused
     given = {f"u{k}": one for k, one in enumerate(inputs, start=1)}
-    built = build(from_json(to_json(found.diagram)), dt=found.dt)
+    built = build(from_json(to_json(found.diagram)), dt=found.dt, precision=precision)
     return built.machine().run(STEPS, given)["y"]
 
 
@@ -377,27 +377,28 @@ def test_older_tables_and_even_breakpoints_are_read(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("real", [np.float64, np.float32])
 @pytest.mark.parametrize(("clip", "last"), [(False, False), (True, False), (True, True)])
-def test_even_breakpoints_are_found_by_their_distance(tmp_path: Path, clip: bool, last: bool) -> None:
+def test_even_breakpoints_are_found_by_their_distance(tmp_path: Path, clip: bool, last: bool, real: type) -> None:
     """Places and shares as MathWorks' code of R2023b computes them, which a search would round otherwise."""
     values = {"NumberOfTableDimensions": "1", "BreakpointsForDimension1": "[-.3 -.2 -.1 0 .1]",
               "Table": "[1 2.5 .3 4 .1]", "IndexSearchMethod": "Evenly spaced points",
               "ExtrapMethod": "Clip" if clip else "Linear",
               "UseLastTableValue": "on" if last else "off"}  # fmt: skip
-    table, first, step = [1.0, 2.5, 0.3, 4.0, 0.1], -0.3, -0.2 - -0.3
-    wanted = []
-    for u in DRAWN[0] / 5.0:
-        inverse = 1.0 / step
+    table, (first, second), one = np.array([1.0, 2.5, 0.3, 4.0, 0.1], real), np.array([-0.3, -0.2], real), real(1.0)
+    wanted, step, drawn = [], second - first, (DRAWN[0] / 5.0).astype(real)
+    for u in drawn:
+        inverse = one / step
         place = (u - first) * inverse
         i = int(place) if 0.0 < place < 4 else 0 if place <= 0.0 else 3
-        share = (u - (i * step + first)) * inverse if u > first else (u - first) / step
+        share = (u - (real(i) * step + first)) * inverse if u > first else (u - first) / step
         if clip and not first < u:
-            share = 0.0
+            share = real(0.0)
         elif clip and place >= 4:
-            share = 1.0
+            share = one
         between = (table[i + 1] - table[i]) * share + table[i]
         wanted.append(table[4] if last and place >= 4 else between)
-    assert np.array_equal(run(one_block(tmp_path, "Lookup_n-D", values, ("double",)), [DRAWN[0] / 5.0]), wanted)
+    assert np.array_equal(run(one_block(tmp_path, "Lookup_n-D", values, ("double",)), [drawn], real.__name__), wanted)
 
 
 def square(turns: np.ndarray) -> np.ndarray:

@@ -373,7 +373,8 @@ class LookupTable(Block):
 
     The breakpoints increase; the table has the first dimension's points side by side. With `clip` u is held within
     the ends. It is interpolated along the first dimension, then along the next, as (right - left) share + left.
-    Even breakpoints, whose distance is in `steps`, are found by it; with `last` the last point is that of the table.
+    Even breakpoints are found by their distance in `steps`, of which 0 stands for that of the first two in the build's
+    precision; with `last` the last point is that of the table.
     """
 
     def __init__(
@@ -399,7 +400,7 @@ class LookupTable(Block):
             value, points = u[f"u{k}"], p[f"points{k}"]
             inside = value < points[size - 1]
             if self.steps:
-                step, first = self.steps[k - 1], points[0]
+                first, step = points[0], self.steps[k - 1] or points[1] - points[0]
                 inverse = 1.0 / step
                 place = (value - first) * inverse
                 inside = place < size - 1
@@ -453,7 +454,7 @@ def _lookup(c: Asked) -> Made:
             steps.append(step)
         else:
             points.append(c.value(f"BreakpointsForDimension{k}", "[10,22,31]").flatten().tolist())
-            steps += [points[-1][1] - points[-1][0]] * (c.text("IndexSearchMethod", "") == "Evenly spaced points")
+            steps += [0.0] * (c.text("IndexSearchMethod", "") == "Evenly spaced points")
     last = clip and c.text("UseLastTableValue", "off") == "on"
     return _table(c, points, table.flatten(order="F").tolist(), method, clip, steps, last)
 
