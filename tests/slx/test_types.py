@@ -452,6 +452,18 @@ def test_a_product_of_doubles_may_be_a_whole_number(tmp_path: Path) -> None:
     assert np.array_equal(flown(found, {"u1": 1e3 * a, "u2": b, "u3": c})["y"], np.trunc(1e3 * a / b / c))
 
 
+@pytest.mark.parametrize(("kind", "of"), [("boolean", DRAWN[:3] > -0.5), ("int8", np.int8(DRAWN[:2] * 20))])
+def test_a_product_of_one_vector_of_whole_numbers_is_that_of_its_elements(tmp_path: Path, kind: str, of: Any) -> None:
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": kind, "PortDimensions": str(len(of))}),
+        ("Product", "p", {"Inputs": "1", "OutDataTypeStr": "double"}),
+        ("Outport", "y", {}),
+    ]
+    found = flown(imported(tmp_path, blocks, [("u", "p"), ("p", "y")]), {"u": of.T})
+    assert np.array_equal(found["y"], np.prod(of, axis=0, dtype=float))
+    assert len(set(found["y"])) > 1
+
+
 def test_an_input_that_nothing_drives_is_0_of_its_type(tmp_path: Path) -> None:
     code = "e(1) = Simulink.BusElement; e(1).Name = 'n'; e(1).DataType = 'uint8'; B = Simulink.Bus; B.Elements = e;"
     names: dict[str, Any] = {}

@@ -126,7 +126,7 @@ def whole_product(c: Asked, signs: str) -> Made | None:
     if kinds == {"real"} and wanted == "real":
         return None
     c.values.setdefault("RndMeth", "Zero")
-    if "real" not in kinds and (len(signs) > 2 or signs not in ("**", "*/", "*")):
+    if "real" not in kinds and kinds != {"bool"} and (len(signs) > 2 or signs not in ("**", "*/", "*")):
         raise NotTranslated(f"Inputs = {signs!r} of {' and '.join(sorted(kinds))} is not translated")
     if signs == "*/" and "real" not in kinds:  # as MathWorks' C has it, also by 0
         low, high = float(BY_NAME[str(wanted)].low), float(BY_NAME[str(wanted)].high)

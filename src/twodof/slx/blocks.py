@@ -134,13 +134,13 @@ def _product(c: Asked) -> Made:
     if c.text("Multiplication", "Element-wise(.*)") != "Element-wise(.*)" and (vectors > 1 or len(c.inputs) == vectors):
         raise NotTranslated("a product of matrices is not translated")
     terms = signs(c, "**")
+    if len(terms) == 1 and c.width is not None:
+        if terms == "/":
+            raise NotTranslated("a quotient of elements is not translated")
+        return of_elements(replace(c, values={**c.values, "Inputs": "*" * c.width}), _product)
     if (made := whole_product(c, terms)) is not None:
         return made
     if len(terms) == 1:
-        if c.width is not None and terms == "/":
-            raise NotTranslated("a quotient of elements is not translated")
-        if c.width is not None:
-            return of_elements(replace(c, values={**c.values, "Inputs": "*" * c.width}), _product)
         return same(c, Elementary("reciprocal") if terms == "/" else Gain(1.0))
     return same(c, Product(terms, c.width))
 
