@@ -464,6 +464,17 @@ def test_a_product_of_one_vector_of_whole_numbers_is_that_of_its_elements(tmp_pa
     assert len(set(found["y"])) > 1
 
 
+@pytest.mark.parametrize(("mask", "wanted"), [("off", [0b010, 0b000]), ("on", [[0b111, 0b010], [0b001, 0b110]])])
+def test_bits_of_one_vector_are_combined_into_one_number_without_a_mask(
+    tmp_path: Path, mask: str, wanted: list[Any]
+) -> None:
+    bits = {"SourceBlock": "simulink/Logic and Bit Operations/Bitwise Operator", "logicop": "AND", "BitMask": "255",
+            "UseBitMask": mask, "NumInputPorts": "1"}  # fmt: skip
+    blocks = [("Inport", "u", {"OutDataTypeStr": "uint8", "PortDimensions": "2"}), ("Reference", "b", bits)]
+    found = imported(tmp_path, [*blocks, ("Outport", "y", {})], [("u", "b"), ("b", "y")])
+    assert flown(found, {"u": np.array([[0b111, 0b010], [0b001, 0b110]])}, 2)["y"].tolist() == wanted
+
+
 def test_an_input_that_nothing_drives_is_0_of_its_type(tmp_path: Path) -> None:
     code = "e(1) = Simulink.BusElement; e(1).Name = 'n'; e(1).DataType = 'uint8'; B = Simulink.Bus; B.Elements = e;"
     names: dict[str, Any] = {}

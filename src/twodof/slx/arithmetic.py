@@ -250,6 +250,8 @@ def _bits(c: Asked) -> Made:
     """Combine the bits of whole numbers with one another, or with a mask."""
     kind, name = c.kind("bool", *INTEGERS), c.needs("logicop", "AND", "AND", "OR", "NAND", "NOR", "XOR", "NOT")
     mask = [int(c.scalar("BitMask", "0"))] if c.text("UseBitMask", "on") == "on" and name != "NOT" else []
+    if c.width is not None and len(c.inputs) == 1 and name != "NOT" and c.text("UseBitMask", "on") != "on":
+        return of_elements(c, _bits)
     combine = {"A": operator.and_, "O": operator.or_, "X": operator.xor}[name.removeprefix("N")[0]]
     word = "uint32" if kind == "uint32" else "int32"
 
