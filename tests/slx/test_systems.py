@@ -427,6 +427,48 @@ def test_ports_of_bus_elements_are_one_port(tmp_path: Path) -> None:
     assert np.array_equal(got["y"], ((v - u) - 2.0 * u) + v)
 
 
+@pytest.mark.parametrize("gain", ["2", "[2; 3]"])
+def test_an_element_of_a_bus_may_hang_on_another_one(tmp_path: Path, gain: str) -> None:
+    names = "Derivative,state"
+    blocks: Blocks = [
+        ("BusSelector", "state out", {"OutputSignals": "state"}),
+        ("Inport", "u", REAL),
+        ("Sum", "sum", {"Inputs": "+-", "Ports": "[2, 1]"}),
+        ("Gain", "Derivative", {"Gain": gain}),
+        ("UnitDelay", "state", {"InitialCondition": "1"}),
+        ("BusCreator", "bus", {"Inputs": names, "Ports": "[2, 1]"}),
+        ("BusSelector", "rate out", {"OutputSignals": "Derivative"}),
+        ("Outport", "y", {}),
+    ]
+    lines: Lines = [
+        *[("u", "sum:1"), ("state out", "sum:2"), ("sum", "Derivative"), ("sum", "state")],
+        *[("Derivative", "bus:1"), ("state", "bus:2"), ("bus", "state out"), ("bus", "rate out"), ("rate out", "y")],
+    ]
+    u, state, want = DRAWN[0], 1.0, []
+    for one in u:
+        state = one - state
+        want.append(state)
+    got = flown(imported(tmp_path, blocks, lines), u=u)["y"]
+    assert np.array_equal(got, np.multiply.outer(want, [2.0, 3.0]) if ";" in gain else 2.0 * np.array(want))
+
+
+def test_units_are_converted_between_what_is_said_beside(tmp_path: Path) -> None:
+    """1 mph is 0.44704 m/s exactly (NIST Special Publication 811, appendix B.8)."""
+    conversion: Blocks = [
+        ("Inport", "u", {**REAL, "Unit": "m/s"}),
+        ("UnitConversion", "convert", {}),
+        ("SignalSpecification", "say", {"Unit": "mph"}),
+        ("Outport", "y", {}),
+    ]
+    lines: Lines = [("u", "convert"), ("convert", "say"), ("say", "y")]
+    u = DRAWN[0]
+    assert np.array_equal(flown(imported(tmp_path, conversion, lines), u=u)["y"], u * (1.0 / 0.44704))
+    for unit, why in (("inherit", "right beside"), ("kg", "cannot be converted"), ("furlong", "furlong is not")):
+        conversion[2] = ("SignalSpecification", "say", {"Unit": unit})
+        (line,) = [one for one in imported(tmp_path, conversion, lines).report if one.status == "refused"]
+        assert why in line.why
+
+
 def test_what_a_file_leaves_out_is_simulinks_own_default(tmp_path: Path) -> None:
     """A Unit Delay runs every second, a Math block is exp, unless the file says another value."""
     blocks: Blocks = [

@@ -22,6 +22,7 @@ from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, INTEGERS, STORED,
 from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Gain, Maximum, Minimum, Saturation
 from twodof.slx.composite_blocks import formula
 from twodof.slx.data_types import kind_of
+from twodof.slx.model import System
 from twodof.slx.translation import (
     Asked,
     Made,
@@ -317,6 +318,46 @@ def _field(c: Asked) -> Made:
     return Made(made.item, [dataclasses.replace(made.outputs[0], bits=total)])
 
 
+UNITS: Mapping[str, tuple[str, float]] = {
+    **{name: ("m", size) for name, size in {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}.items()},
+    **{name: ("m", size) for name, size in {"ft": 0.3048, "mi": 1609.344}.items()},
+    **{name: ("m/s", size) for name, size in {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "ft/s": 0.3048}.items()},
+    **{name: ("rad", size) for name, size in {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}.items()},
+    **{name: ("rad/s", size) for name, size in {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0}.items()},
+    **{name: ("s", size) for name, size in {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}.items()},
+    **{name: ("N", size) for name, size in {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}.items()},
+    **{name: ("Pa", size) for name, size in {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5}.items()},
+    **{k + name: (name, size) for name in ("W", "V", "A", "Hz") for k, size in {"": 1.0, "k": 1e3, "m": 1e-3}.items()},
+    **{name: ("kg", size) for name, size in {"kg": 1.0, "g": 1e-3, "lbm": 0.45359237}.items()},
+}
+"""Units by the names that Simulink gives them: the unit of the SI, and what they are of it (BIPM; NIST SP 811)."""
+
+
+def with_units(system: System) -> System:
+    """Return a system whose UnitConversions have the units `From` and `To` of the ports and specifications beside."""
+    said = {sid: unit for sid, one in system.blocks.items() if (unit := one.values.get("Unit", "inherit")) != "inherit"}
+    blocks = dict(system.blocks)
+    for source, sink in ((line.source, sink) for line in system.lines if line.source for sink in line.wire.sinks()):
+        for sid, end, beside in ((sink.sid, "From", source.sid), (source.sid, "To", sink.sid)):
+            if beside in said and sid in blocks and blocks[sid].type == "UnitConversion":
+                blocks[sid] = dataclasses.replace(blocks[sid], values={**blocks[sid].values, end: said[beside]})
+    return System(blocks, system.lines)
+
+
+def _unit_conversion(c: Asked) -> Made:
+    before, after = c.text("From", ""), c.text("To", "")
+    if not before or not after:
+        raise NotTranslated("its units are translated where a port or a Signal Specification right beside says them")
+    for unit in (before, after):
+        if unit not in UNITS:
+            raise NotTranslated(f"the unit {unit[:40]} is not translated")
+    (quantity, size), (other, wanted) = UNITS[before], UNITS[after]
+    if quantity != other:
+        raise NotTranslated(f"{before} cannot be converted to {after}")
+    c.kind("real")
+    return same(c, Gain(size / wanted, c.width))
+
+
 _LOGICAL = ("Shift Left Logical", "Shift Right Logical")
 
 
@@ -332,6 +373,7 @@ ARITHMETIC_RULES: dict[str, Rule] = {
     "DataTypeConversion": _convert,
     "MinMax": _min_max,
     "RelationalOperator": _relational,
+    "UnitConversion": _unit_conversion,
     "Saturate": each(_saturate, "LowerLimit", "UpperLimit", wide=True),
 }
 """Rules of the blocks whose types decide what they compute."""

@@ -20,6 +20,7 @@ from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.library import DataStore, StoreRead, StoreWrite
 from twodof.errors import DiagramError
+from twodof.slx.arithmetic import with_units
 from twodof.slx.blocks import DROPPED, RULES, carried_out
 from twodof.slx.bus_ports import with_bus_ports, with_each, with_inputs, with_iterated, with_ports, with_recorded
 from twodof.slx.chart import function_rule
@@ -205,7 +206,7 @@ class _Import(Wiring):
             raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
         recorded = list[SimulinkBlock]()
         system = with_recorded(system, recorded, path) if path != self.path else system
-        system = with_bus_ports(without_events(system, self.notes, path))
+        system = with_bus_ports(with_units(without_events(system, self.notes, path)))
         if recorded:  # of a library, or of a referenced model
             top = self.sheets[self.path]
             self.sheets[self.path] = Sheet(with_inputs(top.system, recorded, self.notes), top.names, top.owner)
@@ -499,16 +500,23 @@ class _Import(Wiring):
             # What has no rule is refused there too, and without any such block the loop is an algebraic one.
             at = (key for key in waiting if self.blocks[key].type in STATEFUL and key not in broken)
             loop = next(at, None)
-            if loop is not None:
-                broken[loop] = guessed.get(loop) or self._guess(loop, waiting, behind)
-                self.signals[*loop, 1] = broken[loop]
-                follow(loop, 1)
-                continue
-            # A block that takes its type from behind may wait for what itself drives.
-            loop = next((key for key in waiting if self._backwards(key) and self._known(key)), None)
-            early += [loop] if loop is not None else []
-            loop = loop or next((key for key in waiting if self.blocks[key].kind not in RULES), None)
-            ready += [loop] if loop is not None else list(waiting)[:1]
+            if loop is None:
+                # A block that takes its type from behind may wait for what itself drives.
+                found = next((key for key in waiting if self._backwards(key) and self._known(key)), None)
+                early += [found] if found is not None else []
+                found = found or next((key for key in waiting if self.blocks[key].kind not in RULES), None)
+                # An element of a bus may hang on another one of the same bus.
+                creators = (key for key in waiting if found is None and self.blocks[key].type == "BusCreator")
+                elements = (
+                    one[:2] for key in creators for one in sorted(waiting[key] - self.signals.keys()) if one[2] == 1
+                )
+                loop = next((one for one in elements if one in waiting and one not in broken), None)
+                if loop is None:
+                    ready += [found] if found is not None else list(waiting)[:1]
+                    continue
+            broken[loop] = guessed.get(loop) or self._guess(loop, waiting, behind)
+            self.signals[*loop, 1] = broken[loop]
+            follow(loop, 1)
         if assumed and SINGLE in self.names:  # a double may be there for a block that was refused only
             wrong = {key: one for key, signal in wrong.items() if not (one := _single(signal)).like(broken[key])}
         later = {key: said for key in early if (said := self._wanted(key)) and said != self.taken.get(key)}
