@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.how_to import carry_out, copied
+from tests.how_to import PROJECT, carry_out, copied
 
 pytestmark = pytest.mark.slow
 
@@ -24,6 +24,8 @@ def test_a_flight_parameter_is_its_row_and_equation(tmp_path: Path) -> None:
     after = (root / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
     assert "ATT_Q_MAX" not in before
     assert "ATT_Q_MAX" in after
+    page = Path("docs/how-to/check-a-diagram.md")
+    assert (root / page).read_text(encoding="utf-8") != (PROJECT / page).read_text(encoding="utf-8"), "its lines move"
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Runs the commands that the documentation shows and brings the shown output up to date: `python tools/console.py`.
+"""Runs the commands that the documentation shows and brings the shown output up to date: `tools/console.py [PAGE...]`.
 
 In a ```console block a line `$ twodof ...` or `$ python ...` is a command, and what follows are lines of its output,
 not necessarily all. A block ```python title="FILE" (or toml) is a file that the reader saves first.
@@ -161,6 +161,6 @@ def refreshed(text: str) -> str:
 
 
 if __name__ == "__main__":
-    for page in PAGES:
+    for page in map(Path, sys.argv[1:]) if sys.argv[1:] else PAGES:
         page.write_text(refreshed(page.read_text(encoding="utf-8")), encoding="utf-8")
         sys.stdout.write(f"{page} written\n")

@@ -163,6 +163,6 @@ def test_an_estimate_goes_to_python_control(greybox: Estimate) -> None:
     loop = LoopTransfer.of(greybox.linear(DT), "M", "q")
     found = margins(loop.scaled(0.1))
     phase = f"{found.phase_margin_deg:.1f} deg at {found.crossover:.3g} rad/s"
-    assert f"gain margin {found.gain_margin_db:.1f} dB, phase margin {phase}, delay margin" in repr(found)
+    assert f"gain margin +{found.gain_margin_db:.1f} dB, phase margin {phase}, delay margin" in repr(found)
     with pytest.raises(ParameterError, match=r"estimate\.linear\(dt\)"):
         margins(greybox)

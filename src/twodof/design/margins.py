@@ -173,9 +173,14 @@ class LoopMargins:
     def __repr__(self) -> str:
         if self.motion is not None and not self.stable:
             return f"<LoopMargins unstable: {self.motion.text}>"
-        gain, delay = f"{self.gain_margin_db:.1f} dB", f"{1e3 * self.delay_margin:.3g} ms"
+        up, down = self.increase, self.decrease
+        ways = [f"{20.0 * math.log10(one.factor):+.1f} dB" for one in (up, down) if one is not None]
+        gain, delay = " and ".join(ways) or "none", self.delay_margin
+        if not self.phases:
+            return f"<LoopMargins stable: gain margin {gain}, no crossover>"
         phase = f"{self.phase_margin_deg:.1f} deg at {self.crossover:.3g} rad/s"
-        return f"<LoopMargins stable: gain margin {gain}, phase margin {phase}, delay margin {delay}>"
+        short = f"{delay:.3g} s" if delay >= 1.0 else f"{1e3 * delay:.3g} ms"
+        return f"<LoopMargins stable: gain margin {gain}, phase margin {phase}, delay margin {short}>"
 
     @property
     def stable(self) -> bool:

@@ -37,7 +37,7 @@ class Rational:
     delay: float = 0.0
     letter: str = ""
 
-    def transfer(self, where: str, period: float | None) -> LoopTransfer:
+    def transfer(self, where: str = "the transfer function", period: float | None = None) -> LoopTransfer:
         """Return it as matrices, sampled with `period` [s] if it is one of z.
 
         Raises ParameterError for more zeros than poles, and for z without a period.

@@ -380,7 +380,7 @@ def _on_residuals(found: Estimate) -> Iterator[str]:
     taken_for_white = not found.white and noise.kind == "white"
     if not found.white:
         yield (
-            "the residuals are not white, so the robust standard deviations are quoted: "
+            "the residuals are not white, so believe the column `robust` (`sigma_quoted` in a file): "
             "the structure or the noise model leaves something out"
         )
     if taken_for_white and noise.answering:

@@ -26,23 +26,23 @@ Key = tuple[str, str]
 
 
 @dataclass(eq=False)
-class Level:
+class NestedDiagram:
     """A diagram in the network: its path, and the level and the part that it is in."""
 
     diagram: Diagram
     prefix: str = ""
-    above: "Level | None" = None
+    above: "NestedDiagram | None" = None
     name: str = ""
-    below: dict[str, "Level"] = field(default_factory=dict)
+    below: dict[str, "NestedDiagram"] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
-class Node:
+class PlacedBlock:
     """A block in the network; `apart` says why it cannot be joined with others."""
 
     path: str
     block: Block
-    level: Level
+    level: NestedDiagram
     part: Part
     apart: str = ""
 
@@ -51,24 +51,24 @@ class Network:
     """The blocks of a diagram and of those in it, by path, with the output that drives each input."""
 
     def __init__(self, diagram: Diagram) -> None:
-        self.root, self.nodes = Level(diagram), dict[str, Node]()
+        self.root, self.nodes = NestedDiagram(diagram), dict[str, PlacedBlock]()
         self._collect(self.root, "")
 
-    def _collect(self, level: Level, apart: str) -> None:
+    def _collect(self, level: NestedDiagram, apart: str) -> None:
         for name, part in level.diagram.parts.items():
             conditional = part.enable or part.trigger or part.reset
             why = apart or ("acts at times only" if conditional else "has another rate" if part.rate != BASE else "")
             path = f"{level.prefix}{name}"
             if isinstance(part.item, Diagram):
-                level.below[name] = Level(part.item, f"{path}.", level, name)
+                level.below[name] = NestedDiagram(part.item, f"{path}.", level, name)
                 self._collect(level.below[name], why)
             else:
                 store = isinstance(part.item, (DataStore, StoreRead, StoreWrite))
                 traced = part.item.trace
                 why = why or ("is a data store" if store else "has edges" if traced.edges else "")
-                self.nodes[path] = Node(path, part.item, level, part, why)
+                self.nodes[path] = PlacedBlock(path, part.item, level, part, why)
 
-    def origin(self, level: Level, source: str | None) -> Key | None:
+    def origin(self, level: NestedDiagram, source: str | None) -> Key | None:
         """Return the output that a source of a level is; None where nothing is connected."""
         while source is not None:
             part, port = level.diagram.source(source)
@@ -83,7 +83,7 @@ class Network:
                 source, level = level.above.diagram.feed(level.name, port), level.above
         return None
 
-    def driver(self, node: Node, port: str) -> Key | None:
+    def driver(self, node: PlacedBlock, port: str) -> Key | None:
         """Return the output that drives an input of a block."""
         return self.origin(node.level, node.level.diagram.feed(node.part.name, port))
 
@@ -138,10 +138,10 @@ class Joined(Block):
         self.params = [replace(one, name=_own(node, one.name)) for node, one in self._of("params")]
         self.derived = [replace(one, name=_own(node, one.name)) for node, one in self._of("derived")]
 
-    def _of(self, what: str) -> list[tuple[Node, Any]]:
+    def _of(self, what: str) -> list[tuple[PlacedBlock, Any]]:
         return [(node, one) for node in self.nodes for one in getattr(node.block, what)]
 
-    def _computed(self, node: Node, roots: Sequence[Any], value: Callable[[Key], Any], *views: Any) -> list[Any]:
+    def _computed(self, node: PlacedBlock, roots: Sequence[Any], value: Callable[[Key], Any], *views: Any) -> list[Any]:
         x, p, t = views
         ports = {leaf.data for leaf in walk(roots) if leaf.op == "input"}
         drivers = {port: self.driven[node.path, port] for port in ports}
@@ -188,11 +188,11 @@ class Joined(Block):
         return found
 
 
-def _own(node: Node, name: str) -> str:
+def _own(node: PlacedBlock, name: str) -> str:
     return f"{node.path}_{name}".replace(".", "_")
 
 
-def _start(node: Node, initial: Any) -> Any:
+def _start(node: PlacedBlock, initial: Any) -> Any:
     return _own(node, initial) if isinstance(initial, str) else initial
 
 
@@ -335,7 +335,7 @@ def _solve(network: Network, loop: set[Key]) -> str:
     return f"an algebraic loop over {', '.join(sorted(inside))[:80]} is solved by {TURNS} steps of Newton's method"
 
 
-def _outside(network: Network, level: Level, node: Node, port: str) -> tuple[str, Key | None]:
+def _outside(network: Network, level: NestedDiagram, node: PlacedBlock, port: str) -> tuple[str, Key | None]:
     """Return what drives an input of a block, and the source in the level by which it comes into its part."""
     at, source = node.level, node.level.diagram.feed(node.part.name, port)
     driver = network.origin(at, source)
