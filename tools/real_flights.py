@@ -155,6 +155,8 @@ def shown(found: Estimate, unknown: str) -> str:
 
 
 if __name__ == "__main__":
+    if not all(Path(one).is_dir() for one in sys.argv[1:]):
+        raise SystemExit(__doc__)
     folders = [Path(os.environ["TWODOF_FLIGHT_DATA"]), *map(Path, sys.argv[1:])]
     made = "\n".join(["<!-- measured: real -->", "", *table(list(real_flights(*folders))), "", "<!-- end -->"])
     PAGE.write_text(BLOCK.sub(lambda _: made, PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -174,6 +174,14 @@ def test_a_long_open_loop_uses_priors_of_poles() -> None:
     assert abs(found["tau"] - known["tau"]) < 3.3 * found.sigma("tau")
 
 
+def test_an_impulse_that_tells_nothing_of_hover_is_said_so(logs: dict[str, FlightLog]) -> None:
+    laboratory = Laboratory("lab")
+    log, impulse = laboratory.fly("doublet").log, logs["impulse"]
+    found = identify_flight(log, impulse=impulse).greybox
+    assert found["w_n"] == identify_flight(log).greybox["w_n"]
+    assert any("the poles of the impulse are not used" in one for one in found.remarks)
+
+
 def test_a_window_without_range_samples_means_rings() -> None:
     dist = Channel(np.array([0.0, 0.05, 0.1, 0.15]), np.array([0.5, 0.5, 0.9, 0.5]))
     for said in ({"rig": "paper"}, {"drone": {"rig": "paper"}}):

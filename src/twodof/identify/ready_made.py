@@ -382,7 +382,8 @@ def by_output_error(
     wanted = tuple(estimate) if estimate else None
     machines = machines or [FlownMachine()] * len(records)
     machine = machines[0]
-    if free is not None and load_rig(machine.rig)["softening"] == 0.0:
+    softens = load_rig(machine.rig)["softening"] > 0.0
+    if free is not None and not softens:
         swing = fit(structure, free, values=given, disturbance=disturbance)
         held = {name: swing[name] for name in SWING if name in swing.labels and name not in (estimate or ())}
         given = {**held, **given}
@@ -448,6 +449,12 @@ def by_output_error(
         # How much thrust the battery gave is of each flight.
         known = {"supply": flown.supply} if flown.supply and "supply" in (wanted or ()) else {}
         found.append(fit(structure, whole, validation=unseen, **{**options, "prior": {**known, **(before or {})}}))
+    if free is not None and softens:
+        said = (
+            f"the poles of the impulse are not used: on the rig {machine.rig} running rotors make the pitch softer than "
+            "it is at rest"
+        )
+        found = [replace(one, suggestions=(*one.suggestions, said)) for one in found]
     if len(found) > 1:
         fitted = list(records) if experiment == "attitude" else [one for piece in pieces for one in piece]
         return Repeated(tuple(record.name for record in records), tuple(found)), fitted
