@@ -451,8 +451,8 @@ def by_output_error(
         found.append(fit(structure, whole, validation=unseen, **{**options, "prior": {**known, **(before or {})}}))
     if free is not None and softens:
         said = (
-            f"the poles of the impulse are not used: on the rig {machine.rig} running rotors make the pitch softer than "
-            "it is at rest"
+            f"the poles of the impulse are not used: on the rig {machine.rig} running rotors make the pitch softer "
+            "than it is at rest"
         )
         found = [replace(one, suggestions=(*one.suggestions, said)) for one in found]
     if len(found) > 1:
