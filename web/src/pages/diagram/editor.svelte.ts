@@ -57,7 +57,7 @@ class Editor {
     this.starter = starter;
     this.history.clear();
     this.opened++;
-    this.say(`${diagram.name} is open: ${diagram.parts.length} blocks`);
+    this.say(`${diagram.name} is open: ${diagram.parts.length} block${diagram.parts.length === 1 ? "" : "s"}`);
   }
 
   get text(): string {
@@ -136,7 +136,7 @@ class Editor {
     if (there === undefined) return;
     this.path = path;
     this.selected = new Set();
-    this.say(`${path.at(-1) ?? this.root.name}: ${there.parts.length} blocks`);
+    this.say(`${path.at(-1) ?? this.root.name}: ${there.parts.length} block${there.parts.length === 1 ? "" : "s"}`);
   }
 
   leave(): void {
