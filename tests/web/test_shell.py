@@ -56,13 +56,15 @@ def test_the_skip_link_stays_on_the_page(files_only: str, open_page: OpenPage) -
 
 
 def test_a_link_of_an_earlier_start_is_named(built_page: Path, tmp_path: Path, open_page: OpenPage) -> None:
-    with lab_served(tmp_path, command_token="a-token-of-the-present-start-1234") as server:
+    """As `up --token` serves it: without a token, which the page forgets when it is refused, nobody comes in."""
+    now = "a-token-of-the-present-start-1234"
+    with lab_served(tmp_path, token=now, command_token=now, token_always=True) as server:
         page = open_page(
             f"http://{server.host}/?token=a-token-of-an-earlier-start-12345", expects=("401", "WebSocket", "ERR_")
         )
         expect(page.get_by_text("This link is of an earlier start of the server.")).to_be_visible()
         picture(page, "earlier-start")
-        page.goto(f"http://{server.host}/?token=a-token-of-the-present-start-1234")
+        page.goto(f"http://{server.host}/?token={now}")
         expect(page.get_by_text("This link is of an earlier start of the server.")).to_have_count(0)
         expect(page.get_by_role("heading", name="No drone yet")).to_be_visible()
 
