@@ -27,8 +27,8 @@ def origin(about: dict[str, Any], until: float | None) -> list[str]:
     given = controllers.values() if isinstance(controllers, dict) else []
     names = "+".join(str(one.get("name")) for one in given if isinstance(one, dict))
     stock = {**drone, **flown}.get("controller", "stock" if "experiment" in about else "-")
-    tuned = {**drone, **about}.get("parameters") or {}
-    tuned |= {name: value for time, name, value in about.get("changes", ()) if until is not None and time <= until}
+    changes = {name: value for time, name, value in about.get("changes", ()) if until is not None and time <= until}
+    tuned = {**({**drone, **about}.get("parameters") or {}), **changes}
     said = " ".join(f"{name}={value}" for name, value in tuned.items()) or "-"
     found = about.get("seed", drone.get("seed", "-")), about.get("rig", drone.get("rig", "-")), names or stock, said
     return [str(one).replace(",", ";") for one in found]
@@ -40,20 +40,20 @@ if not (logs := [Path(name) for name in sys.argv[1:]]):  # a flight to try it on
     logs[1].write_text("")
 
 print(f"flight,seed,rig,controller,parameters,loop,steps,{','.join(FIGURES)},points,remark")
-seen: dict[str, str] = {}
+seen = dict[str, str]()
 for path in logs:
     folds, remark = [], "no step of pitch or position"
     try:
         log = read_log(path)
-        folds = [one for one in folded_steps(log, step_responses(log)) if one.loop in LIMITS]
-    except TwodofError as reason:  # a damaged file, or one of another program: the others are graded
-        remark = reason.what.replace(",", ";")
-    for fold in folds:  # the steps of a loop under the same parameters
-        # A figure that a step never reached counts as infinite.
+        found = [one for one in folded_steps(log, step_responses(log)) if one.loop in LIMITS]
+        folds = [(one, origin(log.provenance, one.after_s)) for one in found]
+    except (TwodofError, TypeError, ValueError) as reason:  # a damaged file, or a foreign one: the others are graded
+        remark = str(reason).splitlines()[0].replace(",", ";")
+    for fold, about in folds:  # steps under the same parameters; a figure that is never reached is infinite
         rows = [[math.inf if math.isnan(v := getattr(one.figures, n)) else v for n in FIGURES] for one in fold.steps]
         figures = [median(column) for column in zip(*rows, strict=True)]
         points = sum(figure <= limit for figure, limit in zip(figures, LIMITS[fold.loop], strict=True))
-        row = [*origin(log.provenance, fold.after_s), fold.loop, str(len(rows)), *(f"{one:.3g}" for one in figures)]
+        row = [*about, fold.loop, str(len(rows)), *(f"{one:.3g}" for one in figures)]
         first = seen.setdefault(str(row + figures), str(path))
         print(",".join([str(path), *row, str(points), "" if first == str(path) else f"the same as in {first}"]))
     if not folds:

@@ -90,6 +90,14 @@ def test_a_double_integrator_bears_any_less_gain() -> None:
     assert found.gains == ()
 
 
+def test_a_loop_prints_which_way_its_gain_may_go() -> None:
+    """2 / (s - 1) is unstable below half its gain; |L| of 0.5 / (s + 1) is 1 nowhere."""
+    assert repr(margins(loop([2.0], [1.0, -1.0]))).startswith(
+        "<LoopMargins stable: gain margin -6.0 dB, phase margin 60"
+    )
+    assert repr(margins(loop([0.5], [1.0, 1.0]))) == "<LoopMargins stable: gain margin none, no crossover>"
+
+
 def test_an_unstable_loop_prints_its_motion_and_no_margins() -> None:
     """0.9 / (s - 1) closed has its pole at 0.1; 1 / (s^2 - 0.2 s + 3) closed swings at 2 rad/s."""
     assert repr(margins(loop([0.9], [1.0, -1.0]))) == "<LoopMargins unstable: runs away, growing by a factor e in 10 s>"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.slx.files import Blocks, Lines, model_of, slx
+from tests.slx.files import Blocks, Lines, model, model_of, slx
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.slx.importer import Imported, import_system
@@ -452,6 +452,15 @@ def test_an_element_of_a_bus_may_hang_on_another_one(tmp_path: Path, gain: str) 
     assert np.array_equal(got, np.multiply.outer(want, [2.0, 3.0]) if ";" in gain else 2.0 * np.array(want))
 
 
+@pytest.mark.parametrize(("start", "notes"), [("0.0", 0), ("0.001", 1)])
+def test_a_start_time_is_said_not_to_be_taken(tmp_path: Path, start: str, notes: int) -> None:
+    parts = model([("Inport", "u", REAL), ("Outport", "y", {})], [("u", "y")])
+    page, said = "simulink/blockdiagram.xml", f'<ConfigSet><Object><P Name="StartTime">{start}</P></Object></ConfigSet>'
+    parts[page] = parts[page].replace("<Model>", f"<Model>{said}")
+    found = import_system(read_model(slx(parts, tmp_path / "m.slx")), dt=DT)
+    assert sum("StartTime" in note for note in found.notes) == notes
+
+
 def test_units_are_converted_between_what_is_said_beside(tmp_path: Path) -> None:
     """1 mph is 0.44704 m/s exactly (NIST Special Publication 811, appendix B.8)."""
     conversion: Blocks = [
@@ -603,6 +612,11 @@ def test_a_for_iterator_acts_as_often_as_its_input_says(tmp_path: Path, reset: b
         wanted.append(y)
     assert np.array_equal(flown(found, u=turns)["y"], wanted)
     assert [line.why for line in found.report if line.path == "s/turn"] == ["it is iterated 127 times at most"]
+    inside[1] = ("ForIterator", "for", {"Ports": "[0, 1]", "IterationLimit": "2000"})
+    cut = imported(
+        tmp_path, [("SubSystem", "s", {"Ports": "[0, 1]"}, (inside[1:], lines[1:])), blocks[2]], [("s", "y")]
+    )
+    assert "2000 turns of a ForIterator are more than 1000" in cut.refused[0].why
 
 
 @pytest.mark.parametrize("kind", ["while", "do-while"])

@@ -429,7 +429,7 @@ def _solve(problem: Problem, noise: Mapping[str, float], together: bool = False)
                 f"{max(record.dt for record in problem.records):g} s",
                 "choose other first guesses, or a smaller step (substeps)",
             )
-        residual = problem.residual(x)
+        residual = minimum.residual if whiten is None else problem.residual(x)
         change = _reweight(problem, residual, open_)
         if still:
             break

@@ -251,7 +251,7 @@ def _bits(c: Asked) -> Made:
     """Combine the bits of whole numbers with one another, or with a mask."""
     kind, name = c.kind("bool", *INTEGERS), c.needs("logicop", "AND", "AND", "OR", "NAND", "NOR", "XOR", "NOT")
     mask = [int(c.scalar("BitMask", "0"))] if c.text("UseBitMask", "on") == "on" and name != "NOT" else []
-    if c.width is not None and len(c.inputs) == 1 and name != "NOT" and c.text("UseBitMask", "on") != "on":
+    if c.width is not None and len(c.inputs) == 1 and name != "NOT" and not mask:
         return of_elements(c, _bits)
     combine = {"A": operator.and_, "O": operator.or_, "X": operator.xor}[name.removeprefix("N")[0]]
     word = "uint32" if kind == "uint32" else "int32"
@@ -318,18 +318,18 @@ def _field(c: Asked) -> Made:
     return Made(made.item, [dataclasses.replace(made.outputs[0], bits=total)])
 
 
-UNITS: Mapping[str, tuple[str, float]] = {
-    **{name: ("m", size) for name, size in {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}.items()},
-    **{name: ("m", size) for name, size in {"ft": 0.3048, "mi": 1609.344}.items()},
-    **{name: ("m/s", size) for name, size in {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "ft/s": 0.3048}.items()},
-    **{name: ("rad", size) for name, size in {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}.items()},
-    **{name: ("rad/s", size) for name, size in {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0}.items()},
-    **{name: ("s", size) for name, size in {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}.items()},
-    **{name: ("N", size) for name, size in {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}.items()},
-    **{name: ("Pa", size) for name, size in {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5}.items()},
-    **{k + name: (name, size) for name in ("W", "V", "A", "Hz") for k, size in {"": 1.0, "k": 1e3, "m": 1e-3}.items()},
-    **{name: ("kg", size) for name, size in {"kg": 1.0, "g": 1e-3, "lbm": 0.45359237}.items()},
+_SIZES: Mapping[str, Mapping[str, float]] = {
+    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "mi": 1609.344},
+    "m/s": {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "ft/s": 0.3048},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    "kg": {"kg": 1.0, "g": 1e-3, "lbm": 0.45359237},
+    "N": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
+    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5},
+    **{name: {name: 1.0, f"k{name}": 1e3, f"m{name}": 1e-3} for name in ("W", "V", "A", "Hz")},
 }
+UNITS = {name: (unit, size) for unit, sizes in _SIZES.items() for name, size in sizes.items()}
 """Units by the names that Simulink gives them: the unit of the SI, and what they are of it (BIPM; NIST SP 811)."""
 
 
@@ -355,6 +355,7 @@ def _unit_conversion(c: Asked) -> Made:
     if quantity != other:
         raise NotTranslated(f"{before} cannot be converted to {after}")
     c.kind("real")
+    c.notes.append("MathWorks' factor may differ in its last bit")
     return same(c, Gain(size / wanted, c.width))
 
 
@@ -373,7 +374,7 @@ ARITHMETIC_RULES: dict[str, Rule] = {
     "DataTypeConversion": _convert,
     "MinMax": _min_max,
     "RelationalOperator": _relational,
-    "UnitConversion": _unit_conversion,
     "Saturate": each(_saturate, "LowerLimit", "UpperLimit", wide=True),
+    "UnitConversion": _unit_conversion,
 }
 """Rules of the blocks whose types decide what they compute."""

@@ -132,6 +132,8 @@ def with_iterated(system: System, names: Mapping[str, Value]) -> tuple[System, I
     outside = not loops and said.get("IterationSource", "internal") == "external"
     count = MOST_TURNS if outside else int(scalar(evaluate(said.get(text, "5"), names, text)))
     most = min(count if count >= 0 else MOST_TURNS, {"int8": 127, "uint8": 255}.get(kind, MOST_TURNS))
+    if not loops and not outside and most != count:
+        raise NotTranslated(f"{count} turns of a ForIterator are more than {most}")
     ports = [one for one in system.blocks.values() if one.type in ("Inport", "Outport")]
     sides = [sum(one.type == side for one in ports) for side in ("Inport", "Outport")]
     extra = int(outside) if not loops else 2 - (said.get("WhileBlockType", "while") == "do-while")

@@ -354,6 +354,8 @@ class _Import(Wiring):
             if time.size and 0 <= time[0] < float("inf"):
                 self.times[key] = (float(time[0]), float(time[1]) if time.size > 1 else 0.0)
                 found |= {one: where for one in self.times[key] if one > 0.0 and one not in found}
+        if (start := self.model.solver.get("StartTime", "0.0")).strip("0."):
+            self.notes.append(f"StartTime = {start} is not taken: time begins at 0")
         step = self.model.solver.get("FixedStep", "auto")
         if not found or any(block.type in CONTINUOUS for block in self.blocks.values()):
             try:
