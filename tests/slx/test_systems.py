@@ -672,6 +672,18 @@ def test_a_linear_algebraic_loop_is_solved(tmp_path: Path) -> None:
         assert np.allclose(got["z"], wanted, rtol=0.0, atol=1e-12)
 
 
+def test_two_algebraic_loops_through_one_subsystem_are_solved(tmp_path: Path) -> None:
+    """The one inside, 2 w = 1, hangs on nothing of the other, y = u - 3 y, which goes through the same subsystem."""
+    inside: tuple[Blocks, Lines] = (
+        [("Inport", "in", {}), ("Gain", "g", {"Gain": "3"}), ("Outport", "out", {}), ("Constant", "one", {}),
+         ("Sum", "w", {"Ports": "[2, 1]", "Inputs": "+-"}), ("Gain", "h", {}), ("Outport", "two", {"Port": "2"})],
+        [("in", "g"), ("g", "out"), ("one", "w:1"), ("w", "h"), ("h", "w:2"), ("w", "two")],
+    )  # fmt: skip
+    found = loop_model(tmp_path, [("SubSystem", "f", {"Ports": "[1, 2]"}, inside)])
+    assert sum("is solved by 20 steps" in note for note in found.notes) == 2, found.notes
+    assert np.allclose(flown(found, u=DRAWN[0])["y"], DRAWN[0] / 4.0, rtol=0.0, atol=1e-12)
+
+
 def test_an_algebraic_loop_is_solved_or_is_nan(tmp_path: Path) -> None:
     """y = u - exp(y) has one solution, y = u - y^2 has none for u below -1/4, where Simulink ends the simulation."""
     found = loop_model(tmp_path, [("Math", "f", {"Operator": "exp"})])

@@ -5,6 +5,7 @@ The expressions of the blocks, recorded once each, are computed in the order in 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -267,10 +268,10 @@ def _port(network: Network, key: Key) -> Any:
 def with_solved_loops(diagram: Diagram) -> list[str]:
     """Put a block that solves it in place of each algebraic loop of one real number. Return a note on each.
 
-    A loop that it cannot solve is left as it is.
+    A loop that it cannot solve is left as it is. Inner ones come first: others may go through their subsystem.
     """
     notes = list[str]()
-    for loop in Network(diagram).loops():
+    for loop in sorted(Network(diagram).loops(), key=_depth, reverse=True):
         network = Network(diagram)  # the loops before may have changed it
         try:
             if all(key[0] in network.nodes for key in loop):
@@ -278,6 +279,12 @@ def with_solved_loops(diagram: Diagram) -> list[str]:
         except NotTranslated as why:
             notes.append(f"an algebraic loop over {min(loop)[0]} is not solved: {why}")
     return notes
+
+
+def _depth(loop: set[Key]) -> int:
+    """Return how many subsystems are around all of a loop."""
+    around = zip(*(path.split(".")[:-1] for path, _ in loop), strict=False)
+    return sum(1 for _ in takewhile(lambda names: len(set(names)) == 1, around))
 
 
 def _solve(network: Network, loop: set[Key]) -> str:
@@ -292,6 +299,8 @@ def _solve(network: Network, loop: set[Key]) -> str:
     cuts = [key for key in sorted(loop) if _number(network, key) and _cuts(network, key, loop)]
     if not cuts:
         raise NotTranslated("no single number cuts it")
+    if any(other.isdisjoint(loop) and any(path in members for path, _ in other) for other in network.loops()):
+        raise NotTranslated("another one goes through the same subsystems")
     given, sources = dict[Key, str](), dict[str, str]()
     for node in (network.nodes[path] for path in paths):
         for wanted in node.block.inputs:
