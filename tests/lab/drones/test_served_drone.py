@@ -27,6 +27,7 @@ from twodof.gcs.recording import seconds
 from twodof.lab import telemetry_client
 from twodof.lab.drones import pilot
 from twodof.lab.drones.lab_drone import LabDrone
+from twodof.lab.drones.parameter_table import ParameterTable
 from twodof.lab.routes.parameters import undo
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience
@@ -52,6 +53,21 @@ def drone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, On
     """Drone for the tests that leave it disarmed, with its parameters, without a lease."""
     with flying(tmp_path_factory.mktemp("lab")) as found:
         yield found
+
+
+def test_parameters_of_a_new_controller_are_listed() -> None:
+    async def everything() -> dict[str, str]:
+        return parameters.known
+
+    parameters = SimpleNamespace(known={"ATT_KP": "stock"}, all=everything)
+    state = SimpleNamespace(rig=SimpleNamespace(diagram=1))
+    drone: Any = SimpleNamespace(parameters=parameters, state=state, session=SimpleNamespace(now=0.0), ours=False)
+    table = ParameterTable(drone, lambda names: None)
+    listed: list[Any] = asyncio.run(table.entries())
+    assert listed == ["stock"]
+    parameters.known = {"ATT_KP": "stock", "OWN_KP": "own"}  # flashed, and read anew by another part of the server
+    listed = asyncio.run(table.entries())
+    assert listed == ["stock", "own"]
 
 
 def test_texts_during_connecting_are_kept(tmp_path: Path) -> None:

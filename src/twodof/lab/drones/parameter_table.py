@@ -31,10 +31,10 @@ class ParameterTable:
         """Return all parameters with the drone's descriptions. Raises LinkLost, Timeout."""
         parameters = self._drone.parameters
         async with self._asking:
-            if not self._listed or not self._listed <= parameters.known.keys():
+            if not self._listed or self._listed != parameters.known.keys():
                 if self._drone.ours:
                     await parameters.describe()
-                self._listed = frozenset(await parameters.all())
+                self._listed = frozenset(await parameters.all()) | parameters.known.keys()
             return [parameters.known[name] for name in sorted(self._listed)]
 
     async def active(self) -> ActiveController:
