@@ -331,7 +331,8 @@ def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
     [
         (("Sum", WRAP), ("int8", "int8"), (INT8, OTHER), wrapped(INT8 + OTHER, "int8")),
         (("Sum", SATURATE), ("int8", "int8"), (INT8, OTHER), saturated(INT8 + OTHER, "int8")),
-        (("Sum", {"Inputs": "-+"}), ("uint8", "uint8"), (INT8 + 128, OTHER + 128), saturated(OTHER - INT8, "uint8")),
+        (("Sum", {"Inputs": "-+", **SATURATE}), ("uint8", "uint8"), (INT8 + 128, OTHER + 128),
+         saturated(OTHER - INT8, "uint8")),
         (("Sum", {"OutDataTypeStr": "int32", "Inputs": "+-+"}), ("uint8", "int8", "boolean"),
          (INT8 + 128, OTHER, OTHER > 0), INT8 + 128 - OTHER + (OTHER > 0)),
         (("Sum", WRAP), ("int32", "int32"), (INT8 << 24, OTHER << 24), wrapped((INT8 + OTHER) << 24, "int32")),
@@ -441,15 +442,35 @@ def test_each_rounding_goes_where_simulink_says(tmp_path: Path, rounding: str, w
 @pytest.mark.parametrize(("rounding", "of"), [("Floor", np.floor), ("Zero", np.trunc), ("Ceiling", np.ceil)])
 def test_a_quotient_of_whole_numbers_is_rounded_and_by_0_the_largest(tmp_path: Path, rounding: str, of: Any) -> None:
     a, b = np.array([7, -7, 7, -128, 5, -5, 0]), np.array([2, 2, -2, -1, 0, 0, 0])
-    found = of_kinds(tmp_path, ("Product", {"Inputs": "*/", "RndMeth": rounding}), ("int8", "int8"))
+    found = of_kinds(tmp_path, ("Product", {"Inputs": "*/", "RndMeth": rounding, **SATURATE}), ("int8", "int8"))
     wanted = [*np.clip(of(a[:4] / b[:4]), -128, 127).astype(int), 127, -128, 127]
     assert flown(found, {"u1": a, "u2": b}, len(a))["y"].tolist() == wanted
 
 
 def test_a_product_of_doubles_may_be_a_whole_number(tmp_path: Path) -> None:
-    found = of_kinds(tmp_path, ("Product", {"Inputs": "*//", "OutDataTypeStr": "int32"}), ("double",) * 3)
+    block = ("Product", {"Inputs": "*//", "OutDataTypeStr": "int32", "RndMeth": "Zero"})
+    found = of_kinds(tmp_path, block, ("double",) * 3)
     a, b, c = DRAWN
     assert np.array_equal(flown(found, {"u1": 1e3 * a, "u2": b, "u3": c})["y"], np.trunc(1e3 * a / b / c))
+
+
+@pytest.mark.parametrize(
+    ("block", "kinds", "other", "wanted"),
+    [
+        (("Sum", {}), ("int8", "int8"), OTHER, wrapped(INT8 + OTHER, "int8")),
+        (("Sum", {}), ("int8", "double"), 0.5, INT8 + 0.5),
+        (("Gain", {"Gain": "2", "OutDataTypeStr": "int8"}), ("int8",), 0, wrapped(2 * INT8, "int8")),
+        (("Product", {"Inputs": "*/"}), ("int8", "double"), 49.0, INT8 / 49.0),
+        (("Product", {"OutDataTypeStr": "int8"}), ("double", "double"), 0.3, np.floor(INT8 * 0.3)),
+    ],
+)
+def test_a_file_without_defaults_means_those_of_its_releases(
+    tmp_path: Path, block: tuple, kinds: tuple[str, ...], other: Any, wanted: np.ndarray
+) -> None:
+    """Files since R2022a have none, and name Saturate, Zero and Same as first input where these are chosen."""
+    given = {"u1": INT8, "u2": np.broadcast_to(other, INT8.shape)}
+    found = flown(of_kinds(tmp_path, block, kinds), {f"u{k}": given[f"u{k}"] for k in range(1, len(kinds) + 1)})
+    assert np.array_equal(found["y"], wanted)
 
 
 @pytest.mark.parametrize(("kind", "of"), [("boolean", DRAWN[:3] > -0.5), ("int8", np.int8(DRAWN[:2] * 20))])

@@ -1,7 +1,6 @@
 """Arithmetic of whole numbers as Simulink defines it: types of results, rounding, overflow; comparisons, logic, bits.
 
-A result is computed without a bound, then rounded and brought into its type: saturated, or wrapped around. What a
-block's missing parameters mean stands in Simulink's own defaults: Same as first input, saturated.
+A result is computed without a bound, then rounded and brought into its type: saturated, or wrapped around.
 Source: Simulink reference, blocks Sum, Product, Gain, Data Type Conversion, Shift Arithmetic, Bitwise Operator.
 """
 

@@ -66,11 +66,13 @@ class PackageReader:
         return "" if properties is None else _text(properties, name)
 
     def defaults(self, top: Element) -> dict[str, dict[str, str]]:
-        """Return the parameters that the file gives to all blocks of a type."""
+        """Return the parameters that the file gives to all blocks of a type. Since R2022a it gives none."""
         found = top.find("BlockParameterDefaults")
         if found is None and (part := self.package.tree("simulink/bddefaults.xml")) is not None:
             found = part.find(".//BlockParameterDefaults")
-        return {} if found is None else {b.get("BlockType", ""): _values(b) for b in found.iterfind("Block")}
+        if found is None:
+            return {name: dict(values) for name, values in DEFAULTS.items()}
+        return {b.get("BlockType", ""): _values(b) for b in found.iterfind("Block")}
 
     def system(self, element: Element, depth: int) -> dict[str, Any]:
         """Return a system and all that is in it, from this element or the part that it names."""
@@ -235,6 +237,13 @@ def _mask(element: Element) -> list[Any] | None:
     return None
 
 
+_INTERNAL = {"OutDataTypeStr": "Inherit: Inherit via internal rule", "SaturateOnIntegerOverflow": "off"}
+DEFAULTS = {
+    "Gain": {**_INTERNAL, "ParamDataTypeStr": "Inherit: Inherit via internal rule"},
+    "Product": {**_INTERNAL, "RndMeth": "Floor"},
+    "Sum": _INTERNAL,
+}
+"""What blocks without these parameters mean in a file without defaults: other values stand in such files by name."""
 # Simulink's version of each release, for files that do not name the release.
 RELEASES = {
     "6.4": "R2006a", "6.5": "R2006b", "6.6": "R2007a", "7.0": "R2007b", "7.1": "R2008a", "7.2": "R2008b",
