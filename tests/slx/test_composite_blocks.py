@@ -83,6 +83,8 @@ EDGES = "simulink/Discontinuities"
         (f"{LOGIC}/Interval Test", {"uplimit": "1", "IntervalClosedRight": "off"}, 1, lambda u: (u >= -0.5) & (u < 1)),
         (f"{EDGES}/Saturation Dynamic", {}, 3, lambda a, u, b: np.where(u > a, a, np.where(u < b, b, u))),
         (f"{EDGES}/Dead Zone Dynamic", {}, 3, lambda a, u, b: np.where(u > a, u - a, np.where(u < b, u - b, 0.0))),
+        ("simulink/Additional Discrete/Unit Delay External IC", {}, 2, lambda u, first: np.r_[first[0], u[:-1]]),
+        ("simulink/Additional Math/Increment Real World", {}, 1, lambda u: u + 1),
         (f"{EDGES}/Wrap To Zero", {"Threshold": "1"}, 1, lambda u: np.where(u > 1, 0, u)),
         (
             f"{EDGES}/Coulomb & Viscous Friction",
@@ -456,6 +458,22 @@ def test_a_delay_with_taps_or_an_enable_remembers(tmp_path: Path) -> None:
     on = DRAWN[1] > 0
     wanted = recurrent(lambda u, e, x: (x, u if e else x), 2.0)(DRAWN[0], on)
     assert np.array_equal(run(enabled, [DRAWN[0], on]), wanted)
+
+
+def test_polar_numbers_become_cartesian_and_again_polar(tmp_path: Path) -> None:
+    blocks: Blocks = [("Inport", "x", {}), ("Inport", "y", {"Port": "2"})]
+    for name, kind in (("polar", "Cartesian to\nPolar"), ("again", "Polar to\nCartesian")):
+        values = {"SourceBlock": f"simulink_extras/Transformations/{kind}", "Ports": "[2, 2]"}
+        blocks += [("Reference", name, values)]
+    blocks += [("Outport", name, {"Port": str(k)}) for k, name in enumerate(("r", "a", "u", "v"), start=1)]
+    lines = [("x", "polar:1"), ("y", "polar:2"), ("polar:1", "again:1"), ("polar:2", "again:2")]
+    lines += [("polar:1", "r"), ("polar:2", "a"), ("again:1", "u"), ("again:2", "v")]
+    found = import_system(read_model(model_of(blocks, lines, tmp_path / "m.slx")), dt=DT)
+    assert found.diagram is not None, found.refused
+    got = build(found.diagram, dt=DT).machine().run(STEPS, {"x": DRAWN[0], "y": DRAWN[1]})
+    wanted = {"r": np.hypot(*DRAWN[:2]), "a": np.arctan2(DRAWN[1], DRAWN[0]), "u": DRAWN[0], "v": DRAWN[1]}
+    for name, one in wanted.items():
+        assert np.allclose(got[name], one, rtol=1e-14, atol=1e-14)
 
 
 def test_a_library_of_the_users_is_not_taken_for_simulinks(tmp_path: Path) -> None:

@@ -112,6 +112,22 @@ def test_a_bus_without_an_object_has_the_names_of_its_lines(tmp_path: Path) -> N
     assert np.array_equal(found["q"], np.r_[0.0, DRAWN[0][:-1]])
 
 
+def test_a_line_without_a_name_has_that_of_the_line_across_its_subsystems_border(tmp_path: Path) -> None:
+    def passing(name: str) -> tuple[Any, ...]:
+        inner = ([("Inport", "in", {}), ("Outport", "out", {})], [("in", "out")])
+        return "SubSystem", name, {"Ports": "[1, 1]"}, inner
+
+    blocks = [("Inport", "a", {}), ("Inport", "b", {"Port": "2"}), passing("into"), passing("out of"),
+              ("BusCreator", "make", {"Inputs": "2", "Ports": "[2, 1]"}), ("Outport", "y", {}),
+              ("BusSelector", "take", {"OutputSignals": "roll rate", "Ports": "[1, 1]"})]  # fmt: skip
+    lines = [("a", "into"), ("b", "out of"), ("out of", "make:1"), ("into", "make:2"), ("make", "take"), ("take", "y")]
+    files = model(blocks, lines)
+    name = "simulink/blockdiagram.xml"
+    files[name] = files[name].replace('<Line><P Name="Src">1#', '<Line><P Name="Name">roll rate</P><P Name="Src">1#')
+    found = flown(import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT), {"a": DRAWN[0], "b": DRAWN[1]})
+    assert np.array_equal(found["y"], DRAWN[0])
+
+
 def test_a_structure_is_a_constant_a_start_value_and_has_gains(tmp_path: Path) -> None:
     blocks = [
         ("Inport", "on", {"OutDataTypeStr": "boolean"}),
@@ -402,6 +418,7 @@ def of_kinds(tmp_path: Path, block: tuple, kinds: tuple[str, ...]) -> Imported:
          (INT8 + 128, OTHER, (OTHER + 128) << 20), np.where(OTHER > 9, INT8 + 128, (OTHER + 128) << 20)),
         (("DiscreteIntegrator", {"IntegratorMethod": "Accumulation: Forward Euler", "InitialCondition": "7"}),
          ("uint32",), ((INT8 + 128) << 24,), wrapped(7 + np.r_[0, np.cumsum((INT8 + 128) << 24)[:-1]], "uint32")),
+        (("Decrement Real World", {}), ("int8",), (INT8,), wrapped(INT8 - 1, "int8")),
         (("Bitwise Operator", {"logicop": "XOR", "BitMask": "85"}), ("uint8",), (INT8 + 128,), (INT8 + 128) ^ 85),
         (("Bitwise Operator", {"logicop": "NOT", "UseBitMask": "off"}), ("uint16",), (INT8 + 128,), 65407 - INT8),
         (("Bitwise Operator", {"logicop": "NAND", "UseBitMask": "off"}), ("int8", "int8"), (INT8, OTHER),
@@ -415,6 +432,7 @@ def test_whole_numbers_are_rounded_saturated_or_wrapped(
     tmp_path: Path, block: tuple, kinds: tuple[str, ...], given: tuple[np.ndarray, ...], wanted: np.ndarray
 ) -> None:
     named = {"Bitwise Operator": "simulink/Logic and Bit Operations/Bitwise Operator"}
+    named["Decrement Real World"] = "simulink/Additional Math/Decrement Real World"
     if block[0] in named:
         block = ("Reference", {"SourceBlock": named[block[0]], **block[1]})
     found = flown(of_kinds(tmp_path, block, kinds), {f"u{k + 1}": one for k, one in enumerate(given)})

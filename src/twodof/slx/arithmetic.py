@@ -162,6 +162,16 @@ def whole_gain(c: Asked, gain: float) -> Made | None:
     return whole(c, lambda u: u * gain)
 
 
+def _stepped(by: float) -> Rule:
+    """Return the rule of a block that adds a number, around the ends of a type of whole numbers."""
+
+    def rule(c: Asked) -> Made:
+        c.values |= {"OutDataTypeStr": "Inherit: Same as first input", "SaturateOnIntegerOverflow": "off"}
+        return whole(c, lambda u: u + by) or formula(c, lambda t, u: u + by)
+
+    return rule
+
+
 def _absolute(c: Asked) -> Made:
     return whole(c, abs) or same(c, Abs(c.kind("real"), c.width))
 
@@ -371,6 +381,8 @@ ARITHMETIC_RULES: dict[str, Rule] = {
     **dict.fromkeys(("CompareToConstant", "Compare To Constant"), _TO_CONSTANT),
     **dict.fromkeys(("CompareToZero", "Compare To Zero"), lambda c: _compare_to(c, 0.0)),
     "DataTypeConversion": _convert,
+    "Decrement Real World": _stepped(-1.0),
+    "Increment Real World": _stepped(1.0),
     "MinMax": _min_max,
     "RelationalOperator": _relational,
     "Saturate": each(_saturate, "LowerLimit", "UpperLimit", wide=True),

@@ -217,6 +217,14 @@ def _enabled_delay(c: Asked) -> Made:
     return formula(c, lambda t, u, on, x: x, x=(start, lambda t, u, on, x: where(on, u, x)))
 
 
+def _external_delay(c: Asked) -> Made:
+    """Return the input of the sample before, in the first sample the second input."""
+    c.kind("real")
+    begun = False, lambda t, u, first, x, begun: True | begun
+    return formula(c, lambda t, u, first, x, begun: where(begun, x, first),
+                   x=(0.0, lambda t, u, first, x, begun: u), begun=begun)  # fmt: skip
+
+
 # --- sources
 
 
@@ -572,6 +580,7 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "RandomNumber": _noise(Noise, ("Seed", "0"), ("Variance", "1"), ("Mean", "0"), of=_spread),
     "UniformRandomNumber": _noise(UniformNoise, ("Seed", "0"), ("Minimum", "-1"), ("Maximum", "1")),
     "Unit Delay Enabled": _enabled_delay,
+    "Unit Delay External IC": _external_delay,
     "Wrap To Zero": lambda c: _wrap(c, c.scalar("Threshold", "255")),
 }
 """Rule of each of these, by block type or by the library block's name."""

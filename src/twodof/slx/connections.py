@@ -173,16 +173,28 @@ class Connections:
     def _label(self, path: str, pin: Pin) -> str:
         """Return the name of the signal at an input: of its line, or of the element that a BusSelector takes out.
 
-        An output of a chart or a MATLAB Function names its line where nothing else does.
+        Where a line has none, that of the line into an Outport of the subsystem that it leaves counts, or of the line
+        to the subsystem that it comes into. An output of a chart or a MATLAB Function names its line.
         """
-        sheet = self.sheets[path]
-        source = sheet.sources.get(pin)
-        block = None if source is None else sheet.system.blocks.get(source.sid)
-        label = "" if source is None else sheet.labels.get(source, "").strip("<>")
-        if label or source is None or block is None or block.kind not in CODED or block.system is None:
-            return label
-        outputs = (one for one in block.system.blocks.values() if one.type == "Outport")
-        return next((collapsed(one.name) for one in outputs if port_number(one) == source.number), "")
+        for _ in range(1000):
+            sheet = self.sheets[path]
+            source = sheet.sources.get(pin)
+            block = None if source is None else sheet.system.blocks.get(source.sid)
+            label = "" if source is None else sheet.labels.get(source, "").strip("<>")
+            if label or source is None or block is None:
+                return label
+            if block.kind in CODED and block.system is not None:
+                outputs = (one for one in block.system.blocks.values() if one.type == "Outport")
+                return next((collapsed(one.name) for one in outputs if port_number(one) == source.number), "")
+            inner = below(path, block)
+            if inner in self.sheets and self._is_system(block):
+                path, sid = inner, self.sheets[inner].ports.get(("Outport", source.number))
+                pin = Pin(sid or "", "in", 1)
+            elif block.type == "Inport" and sheet.owner is not None:
+                path, pin = sheet.owner[0], Pin(sheet.owner[1], "in", port_number(block))
+            else:
+                return ""
+        return ""
 
     def _origin(self, path: str, pin: Pin) -> Output | None:
         """Return the output of a block that drives an input, out of and into subsystems; None where nothing does."""

@@ -6,6 +6,7 @@ Source: reference pages of Simulink, Control System Toolbox and DSP System Toolb
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -252,6 +253,8 @@ TOOLBOX_RULES: dict[str, Rule] = {
     ),
     "PreLookup": _prelookup,
     "S-R Flip-Flop": _flip_flop,
+    "Cartesian to Polar": partial(_function, code="function [r, a] = f(x, y)\nr = hypot(x, y); a = atan2(y, x);"),
+    "Polar to Cartesian": partial(_function, code="function [x, y] = f(r, a)\nx = r .* cos(a); y = r .* sin(a);"),
     "Tapped Delay": _taps,
 }
 """Rule of each of these, by the library block's name."""
