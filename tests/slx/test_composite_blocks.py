@@ -523,10 +523,12 @@ def windows(u: np.ndarray, size: int) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(size - 1), u], size)
 
 
-def estimated(y: np.ndarray) -> np.ndarray:
-    """What a Kalman filter of position and speed gives, by its definition with numpy's matrices."""
+def estimated(y: np.ndarray, turns: int = 0) -> np.ndarray:
+    """What a Kalman filter of position and speed gives after `turns` samples at 0, by its definition."""
     a, c, q, r = np.array([[1.0, DT], [0.0, 1.0]]), np.array([[1.0, 0.0]]), np.diag([1e-3, 1e-1]), 0.5
     x, p, found = np.array([[0.3], [0.0]]), 2.0 * np.eye(2), []
+    for _ in range(turns):
+        p = a @ (p - p @ c.T @ c @ p / (c @ p @ c.T + r)) @ a.T + q
     for measured in y:
         gain = p @ c.T / (c @ p @ c.T + r)
         x, p = x + gain * (measured - c @ x), (np.eye(2) - gain @ c) @ p
@@ -548,9 +550,9 @@ KALMAN = {"TimeDomain": "Discrete-Time", "ModelSource": "Individual A, B, C, D m
         ("dspstat3/Moving Average", {"WindowLength": "5"}, lambda u: windows(u, 5).mean(axis=1)),
         ("dspstat3/Moving Average", {"WindowLength": "2"}, lambda u: windows(u, 2).mean(axis=1)),
         ("dspbuff3/Delay Line", {"siz": "3", "directfeed": "off"}, lambda u: windows(before(u), 3)),
-        ("ctrlSharedLib/Kalman Filter", KALMAN, estimated),
+        ("ctrlSharedLib/Kalman Filter", KALMAN, lambda u: estimated(u, 5000)),
         ("ctrlSharedLib/Kalman Filter", {**KALMAN, "UseCurrentEstimator": "off"},
-         lambda u: np.vstack([[0.3, 0.0], (estimated(u) @ [[1.0, 0.0], [DT, 1.0]])[:-1]])),
+         lambda u: np.vstack([[0.3, 0.0], (estimated(u, 5000) @ [[1.0, 0.0], [DT, 1.0]])[:-1]])),
     ],
 )  # fmt: skip
 def test_a_block_of_a_toolbox_is_its_definition(
@@ -558,6 +560,27 @@ def test_a_block_of_a_toolbox_is_its_definition(
 ) -> None:
     found = run(one_block(tmp_path, kind, values, ("double",)), [DRAWN[0]])
     assert np.allclose(found, wanted(DRAWN[0]), rtol=1e-12, atol=1e-12)
+
+
+def test_a_kalman_filter_with_a_covariance_that_varies_computes_its_gain_in_each_sample(tmp_path: Path) -> None:
+    found = one_block(tmp_path, "ctrlSharedLib/Kalman Filter", {**KALMAN, "TimeInvariantR": "off"}, ("double",) * 2)
+    assert np.allclose(run(found, [DRAWN[0], np.full(STEPS, 0.5)]), estimated(DRAWN[0]), rtol=1e-12, atol=1e-12)
+
+
+def test_a_kalman_filter_with_an_input_predicts_alone_where_it_is_not_enabled(tmp_path: Path) -> None:
+    values = {"A": "1", "B": ".01", "C": "1", "D": "0", "X0": "0", "Q": "1e-4", "R": "1", "AddInputPort": "on",
+              "AddEnablePort": "on"}  # fmt: skip
+    found = one_block(tmp_path, "ctrlSharedLib/Kalman Filter", KALMAN | values, ("double", "double", "boolean"))
+    p = (1e-4 + np.sqrt(1e-8 + 4e-4)) / 2.0  # P^2 = Q (P + R)
+    gain, on = p / (p + 1.0), DRAWN[2] > 0.0
+
+    def step(u: float, y: float, enabled: bool, x: float) -> tuple[float, float]:
+        now = x + gain * (y - x) if enabled else x
+        return now, now + 0.01 * u
+
+    measured = np.where(on, DRAWN[1], np.nan)
+    wanted = recurrent(step, 0.0)(DRAWN[0], measured, on)
+    assert np.allclose(run(found, [DRAWN[0], measured, on]), wanted, rtol=1e-12, atol=1e-12)
 
 
 def test_a_line_is_fitted_to_the_last_samples(tmp_path: Path) -> None:

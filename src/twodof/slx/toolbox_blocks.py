@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from twodof.blocks import Diagram
 from twodof.errors import DiagramError
@@ -104,16 +105,22 @@ def _polynomial(c: Asked) -> Made:
 
 
 def _kalman(c: Asked) -> Made:
-    """Return the estimate of a discrete Kalman filter without known inputs, whose noise acts on each state."""
-    only = {"TimeDomain": "Discrete-Time", "ModelSource": "Individual A, B, C, D matrices", "AddInputPort": "off"}
-    for name, wanted in only.items():
+    """Return the estimate of a discrete Kalman filter whose noise acts on each state.
+
+    Its gains are those of the steady state, but where an input says a covariance or the first estimate.
+    """
+    for name, wanted in (("TimeDomain", "Discrete-Time"), ("ModelSource", "Individual A, B, C, D matrices")):
         c.needs(name, "", wanted)
-    c.only(UseK="off", UseGH="off", AddEnablePort="off", OutputEstimatedY="off", OutputP="off")
-    c.only(ExternalReset="None", TimeInvariantN="on")
-    if c.value("N", "0").any() or c.inputs[0].width is not None:
-        raise NotTranslated("noises that depend on one another, or several measurements, are not translated")
+    c.only(UseK="off", UseGH="off", OutputEstimatedY="off", OutputP="off", ExternalReset="None", TimeInvariantN="on")
+    if c.value("N", "0").any():
+        raise NotTranslated("noises that depend on one another are not translated")
     ports = ["y", *(["x0", "P0"] if c.text("InitialEstimateSource", "Dialog") == "Input port" else [])]
     ports += [name for name in "QR" if c.text(f"TimeInvariant{name}", "on") == "off"]
+    if ports == ["y"]:
+        return _steady_kalman(c)
+    c.only(AddInputPort="off", AddEnablePort="off")
+    if c.inputs[0].width is not None:
+        raise NotTranslated("several measurements with a covariance that varies are not translated")
     constants = {
         name: c.value(name.capitalize(), "1") for name in ("A", "C", "x0", "P0", "Q", "R") if name not in ports
     }
@@ -141,6 +148,37 @@ def _kalman(c: Asked) -> Made:
     end
     end"""
     return _function(c, code, constants)
+
+
+def _steady_kalman(c: Asked) -> Made:
+    """Return a Kalman filter with the gains of its steady state; without an enable no measurement counts."""
+    a, measured = c.value("A", "1"), c.value("C", "1")
+
+    def covariance(name: str, size: int) -> Any:
+        given = c.value(name, "1").astype(float)
+        return given if given.shape == (size, size) else np.diag(given.flatten() * np.ones(size))
+
+    noise = covariance("R", len(measured))
+    try:
+        p = solve_discrete_are(a.T, measured.T, covariance("Q", len(a)), noise)
+        gain = np.linalg.solve(measured @ p @ measured.T + noise, measured @ p).T
+    except (ValueError, np.linalg.LinAlgError) as reason:
+        raise NotTranslated(f"it has no steady state: {reason}") from None
+    c.notes.append("its gains are those of our solver: some units in the last place from MATLAB's")
+    inputs = ["u"] * (c.text("AddInputPort", "on") == "on") + ["y"] + ["on"] * (c.text("AddEnablePort", "off") == "on")
+    names = {"A": a, "B": c.value("B", "1"), "C": measured, "D": c.value("D", "0"), "M": gain, "L": a @ gain}
+    names |= {"x0": c.value("X0", "0").reshape(-1, 1) * np.ones((len(a), 1))}
+    known = "u" in inputs
+    now = "x + m" if c.text("UseCurrentEstimator", "on") == "on" else "x"
+    code = f"""function xhat = f({", ".join([*inputs, *names])})
+    persistent x
+    if isempty(x), x = x0; end
+    e = y - ({"D * u + " if known else ""}C * x);
+    m = M * e; l = L * e;
+    {"if ~on, m = zeros(size(x)); l = m; end" if "on" in inputs else ""}
+    xhat = {now};
+    x = {"B * u + " if known else ""}A * x + l;"""
+    return _function(c, code, names)
 
 
 _PLACE = """k = 1;
