@@ -2,8 +2,8 @@
 
 A step reads its inputs by `get_NAME()`, takes them by pointers, or has them in a structure. TWODOF_SLX_REPOS names the
 folder of checkouts, OWNER+NAME: wooterpark/test at accdf5d, ShindeNileshR/ERS-MATLAB-PROJECT at ba97c53,
-PurdueElectricRacing/SimscapeModel at c52f074, ahmedsherifmekawy/MBD at 965518b, yasmin-samy/MatLab at 5f2d8b1 and
-Yomna-AlShaboury/MBD at 72dc67b. A model and its C must have one version.
+PurdueElectricRacing/SimscapeModel at c52f074, ahmedsherifmekawy/MBD at 965518b, yasmin-samy/MatLab at 5f2d8b1,
+Yomna-AlShaboury/MBD at 72dc67b and DERT-2040/SwervePuppy-2.0 at 618871f. A model and its C must have one version.
 """
 
 import ctypes
@@ -20,6 +20,7 @@ from tests.slx.generated_c import FLAGS, built, drawn, leaves, plain, value
 from tests.slx.test_mathworks_code import flat
 from twodof.compile import build
 from twodof.slx.importer import import_system
+from twodof.slx.matlab.script import read_workspace
 from twodof.slx.matlab.values import Value
 from twodof.slx.model import read_model
 
@@ -223,3 +224,82 @@ def test_a_students_model_has_the_bits_of_mathworks_c(tmp_path: Path, repository
         given.append([float(shown[path.lower().replace("_", "")]) for path, *_ in leaves(outputs)])
     assert np.array_equal(given, wanted, equal_nan=True)
     assert len(set(map(tuple, wanted))) > 1
+
+
+CORNERS = ("FrontLeft", "FrontRight", "BackLeft", "BackRight")
+SWERVE = {
+    "Odometry_sub": (
+        ["Gyro_Angle*", *(f"{at}_Drive_Motor_Rev" for at in CORNERS),
+         *(f"{at}_Steer_Module_Angle" for at in ("FL", "FR", "BL", "BR")), "Odometry_IC_X=", "Odometry_IC_Y="],
+        ["Product6"],
+    ),
+    "Kalman_Filter_sub": (
+        ["Photon_Est_Pose_X", "Photon_Est_Pose_Y", "Photon_Est_Pose_Ambiguity", "Product6"],
+        ["KF_Position_X", "KF_Position_Y"],
+    ),
+    "Swerve_Drive_sub": (
+        [*(f"{one}_SPF" for one in ("Steering_Abs_Cmd", "Steering_Rel_Cmd", "Translation_Speed", "Translation_Angle",
+                                    "Is_Absolute_Translation", "Is_Absolute_Steering", "Gyro_Angle_Adjustment")),
+         "Gyro_Angle*", *(f"{at}_Drive_Motor_Speed" for at in CORNERS),
+         *(f"{at}_Steer_Module_Angle" for at in ("FL", "FR", "BL", "BR"))],
+        [f"{at}_{what}_DutyCycle" for at in CORNERS
+         for what in ("Steer", "Drive")],
+    ),
+}  # fmt: skip
+"""Parts of a robot's controller of 1,000 blocks, and what their ports are in the C; * in degrees, = a parameter."""
+
+
+@pytest.mark.parametrize("name", SWERVE)
+def test_a_part_of_a_robots_controller_follows_mathworks_c(tmp_path: Path, name: str) -> None:
+    """Vectors in polar numbers, wrapped angles, PID, a Kalman filter: 2,000 steps within 1e-14 of outputs of about 1.
+
+    A length is a square root in the C and the language's hypot here, and the filter's gains are of another solver.
+    """
+    top = Path(REPOS) / "DERT-2040+SwervePuppy-2.0"
+    c, parts = top / "src/main/Code_Gen_Model_ert_rtw", top / "simulink/Reusable_Models"
+    code = built(c, [each.name for each in sorted(c.glob("*.c"))], tmp_path, single=False)
+    u, y, b = (code.at(f"{end}_Code_Gen_Model_T", f"Code_Gen_Model_{end[-1]}") for end in ("ExtU", "ExtY", "B"))
+    names: dict[str, Value] = {}
+    read_workspace(top / "simulink/Data/Code_Gen_Model_data.m", names)
+    for variable in re.findall(r"^real_T (\w+) = ", (c / "Code_Gen_Model.c").read_text("utf-8"), re.MULTILINE):
+        number = names[variable]  # the C has five digits of it
+        assert isinstance(number, np.ndarray)
+        ctypes.c_double.in_dll(code.library, variable).value = float(number.flat[0])
+    model = read_model(parts / f"Code_Gen_Referenced_Subsystems/{name}.slx")
+    for block in model.root.blocks.values():
+        if block.type == "Inport":
+            block.signals.setdefault(1, block.name)  # the name that the line outside has
+    folders = [parts / "Code_Gen_Libraries", parts / "Code_Gen_Referenced_Subsystems"]
+    found = import_system(model, "", names, folders, otherwise=0.02)
+    assert found.diagram is not None, found.refused
+    machine, draw = build(found.diagram, dt=0.02).machine(), np.random.default_rng(7)
+    time = 0.02 * np.arange(STEPS)
+    scale = {"Gyro": 80.0, "Speed": 4000.0, "Joystick": 1.0, "Ambiguity": 0.4, "GameState": 0.0}
+    columns = {}
+    for path, _, _, kind, _ in leaves(u):
+        most = next((most for word, most in scale.items() if word in path), 2.0)
+        wave = most * np.sin(time * draw.uniform(0.2, 2.0) + draw.uniform(0.0, 6.0))
+        columns[path] = wave > 0.0 if kind is ctypes.c_bool else wave + 2.0 * (path == "GameState")
+
+    def cells(wanted: str) -> list[float]:
+        path = wanted.rstrip("*=")
+        if wanted.endswith("="):
+            return [float(ctypes.c_double.in_dll(code.library, path).value)]
+        found = [float(one) for one in value(next(one for one in (u, y, b) if hasattr(one, path)), path)]
+        return [one * np.pi / 180.0 for one in found] if wanted.endswith("*") else found
+
+    code.library.Code_Gen_Model_initialize()
+    wanted, given = [], []
+    for k in range(STEPS):
+        for path, column in columns.items():
+            setattr(u, path, column[k].item())
+        code.library.Code_Gen_Model_step()
+        fed = [one for entry in SWERVE[name][0] for one in cells(entry)]
+        ports = machine.inputs.items()
+        got = machine.step(
+            {port: at > 0.5 if one.kind == "bool" else at for (port, one), at in zip(ports, fed, strict=True)}
+        )
+        wanted.append([one for entry in SWERVE[name][1] for one in cells(entry)])
+        given.append([float(got[port]) for port in list(found.diagram.outputs)[: len(wanted[0])]])  # not what is shown
+    assert np.allclose(given, wanted, rtol=0.0, atol=1e-14)
+    assert (np.ptp(wanted, axis=0) > 0.0).all()

@@ -491,7 +491,8 @@ class _Import(Wiring):
                 made = self.made[key].outputs
                 left = [one for one in outputs.get(key, []) if one not in self.signals]
                 if left and broken.keys() - guessed.keys():  # it may be refused for a wrong guess: go on to see that
-                    known = (self._type(key[0], pin) for pin in self._inputs(key))
+                    taken = self.blocks[key].type == "BusSelector"  # an element is not like its bus
+                    known = (self._type(key[0], pin) for pin in self._inputs(key)[taken:])
                     self.signals |= dict.fromkeys(left, next((one for one in known if one is not None), Signal()))
                     assumed, made = True, [Signal()] * len(left)
                 self._leave([one for one in left if one not in self.signals], waiting, behind, outputs)
