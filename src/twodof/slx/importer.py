@@ -473,8 +473,7 @@ class _Import(Wiring):
         reached = self.signals.keys() | {origin for origin in behind if origin[:2] in waiting}
         self._leave([origin for origin in behind if origin not in reached], waiting, behind, outputs)
         ready = deque(key for key, origins in waiting.items() if not origins - self.signals.keys())
-        broken: dict[tuple[str, str], Signal] = {}
-        wrong: dict[tuple[str, str], Signal] = {}
+        broken, wrong = dict[tuple[str, str], Signal](), dict[tuple[str, str], Signal]()
         assumed, early = False, list[tuple[str, str]]()
 
         def follow(key: tuple[str, str], count: int) -> None:
@@ -491,8 +490,8 @@ class _Import(Wiring):
                 made = self.made[key].outputs
                 left = [one for one in outputs.get(key, []) if one not in self.signals]
                 if left and broken.keys() - guessed.keys():  # it may be refused for a wrong guess: go on to see that
-                    taken = self.blocks[key].type == "BusSelector"  # an element is not like its bus
-                    known = (self._type(key[0], pin) for pin in self._inputs(key)[taken:])
+                    like = [] if self.blocks[key].type == "BusSelector" else self._inputs(key)  # not like its bus
+                    known = (self._type(key[0], pin) for pin in like)
                     self.signals |= dict.fromkeys(left, next((one for one in known if one is not None), Signal()))
                     assumed, made = True, [Signal()] * len(left)
                 self._leave([one for one in left if one not in self.signals], waiting, behind, outputs)
