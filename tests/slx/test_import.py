@@ -546,6 +546,30 @@ def test_functions_of_files_beside_the_model_are_called(tmp_path: Path) -> None:
     assert "twice.m: there is no function in it, but a class" in refused.why
 
 
+def test_blocks_share_no_memory_in_the_base_workspace(tmp_path: Path) -> None:
+    (tmp_path / "before.m").write_text(
+        "function y = before(u)\ny = evalin('base', 'last') + k();\nassignin('base', 'last', u);\n"
+        "function y = k()\ny = evalin('base', 'start');\n"
+    )
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("MATLABFcn", "f", {"MATLABFcn": "before(u)"}),
+        ("MATLABFcn", "g", {"MATLABFcn": "before(2 * u)"}),
+        ("Outport", "y", {}),
+    ]
+    given = {"last": np.array([[7.0]]), "start": np.array([[0.5]])}
+    lines = [("u", "f"), ("f", "y")]
+    one = read_model(slx(model([*blocks[:2], blocks[3]], lines), tmp_path / "m.slx"))
+    found = import_system(one, workspace=given, folders=[tmp_path], dt=DT)
+    assert np.array_equal(flown(found, {"u": DRAWN[0]})["y"], np.concatenate([[7.0], DRAWN[0][:-1]]) + 0.5)
+    assert "last of the base workspace" in next(line.why for line in found.report if line.path == "f")
+    both = read_model(slx(model(blocks, [*lines, ("f", "g")]), tmp_path / "m.slx"))
+    refused = import_system(both, workspace=given, folders=[tmp_path], dt=DT).refused
+    assert {line.path: line.why for line in refused} == dict.fromkeys(
+        ("f", "g"), "last of the base workspace is used by another block, too"
+    )
+
+
 def test_a_damaged_library_refuses_its_links_alone(tmp_path: Path) -> None:
     (tmp_path / "torn.slx").write_bytes(b"PK and then nothing")
     blocks = [

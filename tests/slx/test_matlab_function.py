@@ -260,10 +260,26 @@ y = [norm(v, 1); norm(M, 'fro'); reshape(chol(A), [], 1); reshape(chol(P, 'lower
 end
 """
 
+BASE = """
+function [y, z] = f(u, v)
+if evalin('base', 'exist(''kept'', ''var'') == 0')
+  kept = zeros(5, 1);
+else
+  kept = evalin('base', 'kept');
+end
+kept = [kept(2:end); u];
+assignin('base', 'kept', kept);
+if u > 0, assignin('base', 'last', u); else, assignin('base', 'last', v(2)); end
+y = sum(kept) + evalin('base', 'kept(1) - last');
+z = 2 * kept;
+end
+"""
+
 
 @pytest.mark.parametrize(
     ("code", "signals"),
     [
+        (BASE, [REAL, VECTOR]),
         (HANDLES, [REAL, VECTOR]),
         (ANGLES, [REAL, VECTOR, Signal("int8")]),
         (MORE, [REAL, VECTOR, MATRIX]),
@@ -278,6 +294,7 @@ end
         (BITS, [Signal("uint8"), Signal("uint8"), Signal("uint16"), Signal("int32")]),
     ],
     ids=[
+        "memory in the base workspace",
         "handles",
         "angles",
         "more",
@@ -356,6 +373,9 @@ def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
         ("y = int8(u) + int16(u);", "int16 and int8 in one operation"),
         ("y = f(u);", "functions call each other too deep"),
         ("v = u;", "the output y gets no value"),
+        ("if u > 0, assignin('base', 'k', u); end\ny = u;", "line 2: k of the base workspace is there"),
+        ("y = u + evalin('caller', 'k');", "line 2: evalin and assignin are translated for"),
+        ("y = u + evalin('base', 'k');", "line 2: k has no value"),
         ("y = 0; for k = 1:1000000, y = y + k; end", "more than 50000 operations"),
     ],
 )

@@ -520,6 +520,7 @@ def _expression(c: Asked) -> Made:
     item = MatlabFunction(
         f"function y = f({', '.join(['u', *known])})\ny = {text};", c.inputs[:1], c.names, folders=c.folders
     )
+    c.notes += item.notes
     return Made(item)
 
 

@@ -4,7 +4,7 @@ A block without a sample time of its own takes the fastest one of its inputs, as
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import reduce
@@ -16,7 +16,8 @@ from twodof.blocks.diagram import BASE, Rate
 from twodof.errors import DiagramError
 from twodof.slx.blocks import INPUTS, RULES
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Activation
-from twodof.slx.matlab.program import evaluate
+from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.program import IN_BASE, evaluate
 from twodof.slx.matlab.values import NotComputed, Value, number
 from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, port_number
 from twodof.slx.network import Iteration
@@ -291,3 +292,13 @@ def active_choice(block: SimulinkBlock, names: dict[str, Value]) -> SimulinkBloc
             f"{len(active)} choices of the variant are active: give their conditions' names by --workspace"
         )
     return active[0]
+
+
+def shared_memory(blocks: Mapping[str, object]) -> Iterator[ReportLine]:
+    """Refuse the functions, by path, that assign a name of the base workspace which another one uses."""
+    found = {path: one for path, one in blocks.items() if isinstance(one, MatlabFunction) and one.code.touched}
+    for path, one in found.items():
+        others = set[str]().union(*(other.code.touched for at, other in found.items() if at != path))
+        if shared := sorted(others & {name.removeprefix(IN_BASE) for name in one.kept if name.startswith(IN_BASE)}):
+            why = f"{shared[0]} of the base workspace is used by another block, too"
+            yield ReportLine(path, "MATLABFcn", "refused", why)

@@ -35,6 +35,7 @@ from twodof.slx.connections import (
     active_choice,
     base_period,
     inherited,
+    shared_memory,
     store_name,
 )
 from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
@@ -161,6 +162,7 @@ class _Import(Wiring):
                 self._try(key, partial(self._inport, key, block))
         self._rates()
         self._infer()
+        self.report += shared_memory({below(at, self.blocks[at, k]): one.item for (at, k), one in self.made.items()})
         if any(leaf.kind == "float64" for one in self.signals.values() for leaf in leaves_of(one.port("signal"))):
             self.notes.append("64-bit whole numbers are held as doubles: exact up to 2^53, without a wrap or a limit")
         imported = Imported(None, self.dt, self.report, self.notes)
@@ -442,9 +444,8 @@ class _Import(Wiring):
 
     def _infer(self) -> None:
         """Find the types of all signals. In a loop that of a state is guessed, and all found anew if that was wrong."""
-        lines, signals, made = len(self.report), dict(self.signals), dict(self.made)
-        approximated = deepcopy(self.approximated)
-        guessed: dict[tuple[str, str], Signal] = {}
+        lines, signals, approximated = len(self.report), dict(self.signals), deepcopy(self.approximated)
+        made, guessed = dict(self.made), dict[tuple[str, str], Signal]()
         for _ in range(MOST_GUESSES):
             wrong = self._pass(guessed)
             if not wrong:

@@ -28,7 +28,8 @@ KEEPS_TYPE = (
 """Types of blocks whose output has the type of what they combine."""
 KEEPS_WIDTH = (
     *(*KEEPS_TYPE, "DataTypeConversion", "DeadZone", "Derivative", "DiscreteIntegrator", "Integrator", "Product"),
-    *("Quantizer", "RateLimiter", "Signum", "SignalConversion", "TransferFcn", "TransportDelay", "Trigonometry"),
+    *("Quantizer", "RateLimiter", "Reshape", "Signum", "SignalConversion", "TransferFcn", "TransportDelay"),
+    "Trigonometry",
 )
 """Types of blocks whose output is as wide as their inputs."""
 _JOINS = ("Concatenate", "Mux")

@@ -70,6 +70,7 @@ class MatlabFunction(Block):
                 k: v for k, v in (names or {}).items() if isinstance(v, Members) or declared is not None
             }
             self.code.declared |= declared or {}
+            self.code.base |= names or {}
             main = self.code.main
             self.code.shared = None if declared is None else set(main.arguments)
             named = len(ports) == len(signals) and set(ports) <= set(main.arguments)

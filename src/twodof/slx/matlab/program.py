@@ -8,6 +8,7 @@ does not hold. Loops have constant ranges and are written out.
 """
 
 import copy
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -50,6 +51,8 @@ from twodof.slx.matlab.values import (
 
 DEEPEST_CALLS, MOST_TURNS = 20, 40
 EMPTY = np.zeros((0, 0))
+IN_BASE = "base/."
+"""What the names begin with under which names of the base workspace are kept between calls."""
 _LEAVING = {"return": "#return", "break": "#break", "continue": "#continue"}
 """The names that say under which condition the statements after one of these are left out."""
 _NAMED = {
@@ -85,6 +88,10 @@ class Code:
         self.notes: list[str] = []
         self.known: dict[str, Value] = {}
         """Names that every function sees: enumerations."""
+        self.base: dict[str, Value] = {}
+        """The base workspace at the start; what `assignin` gives it is kept between calls in names `base/.x`."""
+        self.touched: set[str] = set()
+        """Names of the base workspace that may be read or assigned."""
         self.declared: dict[str, Any] = {}
         """Kinds to which names convert what they are assigned: a chart's data, and `function.name`."""
         self.shared: set[str] | None = None
@@ -115,6 +122,7 @@ class Code:
                 except NotComputed as reason:
                     raise NotComputed(f"{name}.m: {reason}") from None
                 made.files, made.initial, made.notes, made.known = self.files, self.initial, self.notes, self.known
+                made.base, made.touched = self.base, self.touched
                 made.prefix = f"{name}/"
                 self.files[name] = made
         return self.files[name]
@@ -214,6 +222,8 @@ class Program:
         for name in dict.fromkeys((*first, *second)):
             missing = np.array([[False]]) if name.startswith("#") else None
             a, b = first.get(name, missing), second.get(name, missing)
+            if name.startswith(IN_BASE) and (a is None or b is None):
+                raise NotComputed(f"{name.removeprefix(IN_BASE)} of the base workspace is there in one branch only")
             before[name] = a if b is None else b if a is None else chosen(condition, a, b, name)
 
     def statement(self, tree: Tree) -> None:
@@ -529,8 +539,34 @@ class Program:
             return np.array([[asked[0].text in self._empty()]])
         return self.called(name, self.arguments(arguments or ()), arguments is not None)
 
+    def _of_base(self, where: Value, text: Value, *assigned: Value) -> Value:
+        """Return an expression of the base workspace, or assign one of its names."""
+        if where != "base" or not isinstance(text, str):
+            raise NotComputed("evalin and assignin are translated for names of the base workspace")
+        self.code.touched.update(re.findall(r"[A-Za-z]\w*", text))
+        if assigned:
+            if self.evaluation.names.get(IN_BASE + text) is None:
+                self.code.notes.append(f"{text} of the base workspace is a state, which begins as the workspace has it")
+            self.evaluation.names[IN_BASE + text] = assigned[0]
+            return None
+        kept = {
+            name.removeprefix(IN_BASE): one for name, one in self.evaluation.names.items() if name.startswith(IN_BASE)
+        }
+        tree, excess = expression_of(text)
+        if excess:
+            raise NotComputed(f"'{excess}' is not expected")
+        inner = copy.copy(self)
+
+        def run(evaluation: Evaluation) -> Value:
+            inner.evaluation = evaluation
+            return inner.value(tree)
+
+        return self.evaluation.apart({**self.code.base, **kept}, run)[0]
+
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Call a function of the program, or one of MATLAB's."""
+        if name in ("evalin", "assignin") and len(arguments) > 1:
+            return self._of_base(*arguments[:2], *arguments[2:3])
         if name == "exist" and arguments:
             return np.array([[float(arguments[0] in self.evaluation.names)]])
         name, arguments = (arguments[0], arguments[1:]) if name == "feval" and arguments else (name, arguments)
