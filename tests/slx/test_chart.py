@@ -308,6 +308,41 @@ BUMP = [  # r = a + n where a > 1, and n counts how often
 ]
 
 
+STRINGS = data("mode", "LOCAL", "string", '"low"'), data("last", "LOCAL", "string")
+
+
+@pytest.mark.parametrize("language", [1, 2])
+def test_strings_of_a_chart_are_compared_and_assigned(tmp_path: Path, language: int) -> None:
+    script = f'function f()\n% "twice" is no string\nif mode == "high" && last ~= "mid"\n {said(5)}\nend'
+    function = (
+        f'<state SSID="6"><P Name="labelString">f</P><P Name="type">FUNC_STATE</P><eml><P Name="isEML">1</P>'
+        f'<P Name="script">{escape(script)}</P></eml><Children/></state>'
+    )
+    parts = [
+        state(1, f'A\nen: {said(1) if language == 2 else "log = 1;"} du: last = mode; mode = "high"; f(); // "a"'),
+        state(2, 'B\nen: mode = ""; du: last = "mid"; f();'),
+        way(3, None, 1, '[mode == "low"]'),
+        way(4, 1, 2, '[last == "high" && u > 0]'),
+        way(5, 2, 1, '[last != "" && mode == "" && u < 0]' if language == 1 else '[last ~= "" && mode == "" && u < 0]'),
+    ]
+    settings = f'<P Name="name">chart</P><P Name="actionLanguage">{language}</P>'
+    found = chart(tmp_path, "".join([*parts, function]), *STRINGS, settings=settings)
+    assert list(flown(found, [0.0, 0.0, 1.0, 1.0, 0.0, -1.0])["y_log"]) == [
+        1,
+        15,
+        155,
+        155,
+        155,
+        [1551, 1][language == 1],
+    ]
+
+
+@pytest.mark.parametrize("action", ['mode = last + "a";', "u1 = strlength(mode);", 'mode = strcat(last, "a");'])
+def test_a_string_that_is_computed_is_refused(tmp_path: Path, action: str) -> None:
+    found = chart(tmp_path, state(1, f"A\nen: {action}") + way(3, None, 1), *STRINGS)
+    assert "is neither compared nor assigned alone" in found.refused[0].why
+
+
 def test_graphical_functions_change_the_charts_data(tmp_path: Path) -> None:
     parts = [state(1, "A\nduring: y = bump(u);"), way(11, None, 1), *BUMP]
     got = flown(chart(tmp_path, "".join(parts), data("y", "OUTPUT"), outputs=("n", "y")), [9.0, 2, 1, 2, 299])

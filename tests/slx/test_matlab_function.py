@@ -275,10 +275,35 @@ z = 2 * kept;
 end
 """
 
+LATE = """
+function [y, z] = f(u)
+persistent k
+if isempty(k), k = 0; end
+k = k + 1;
+if u > 0, y = first(u); else, y = count(u); end
+z = u > -1 && count(u) > 3;
+if k > 3, y = y + first(k) + first(u); end
+end
+function y = first(u)
+persistent n m
+if isempty(n), n = u; m = 7; end
+if isempty(m), m = 100; end
+m = m + 1;
+y = n + m;
+end
+function y = count(u)
+persistent n
+if isempty(n), n = 0; end
+n = n + 1;
+y = n + u;
+end
+"""
+
 
 @pytest.mark.parametrize(
     ("code", "signals"),
     [
+        (LATE, [REAL]),
         (BASE, [REAL, VECTOR]),
         (HANDLES, [REAL, VECTOR]),
         (ANGLES, [REAL, VECTOR, Signal("int8")]),
@@ -294,6 +319,7 @@ end
         (BITS, [Signal("uint8"), Signal("uint8"), Signal("uint16"), Signal("int32")]),
     ],
     ids=[
+        "memory of functions called late",
         "memory in the base workspace",
         "handles",
         "angles",

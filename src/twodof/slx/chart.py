@@ -26,7 +26,7 @@ from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
-from twodof.slx.matlab.chart_text import AFTER, COMMENT, SEND, actions_of, label_of, matlab_of
+from twodof.slx.matlab.chart_text import AFTER, COMMENT, SEND, actions_of, label_of, matlab_of, without_strings
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
 from twodof.slx.matlab.program import IN_C, evaluate
@@ -148,6 +148,9 @@ class _Chart:
         self._read(form, self.root, 0)
         if self.calls:
             self._with_calls()
+        self.data, written = without_strings(self.data)
+        self._rewrite(written)
+        self.scripts = [written(text, "a function in it") for text in self.scripts]
         for way in self._ways() if self.in_c else ():
             if re.search(r"(?<![=!<>~])=(?!=)", way.condition):
                 raise NotTranslated(f"{_shown(way)}: an assignment in a condition")
@@ -165,8 +168,7 @@ class _Chart:
             alike = [one for one in self._from(way.source) if way.source and one.order == way.order]
             if len({id(one.parent) if one.source in self.states else 0 for one in alike}) < len(alike):
                 raise NotTranslated(f"{_shown(way)}: the order of the transitions is not in the file")
-        self.lines: list[str] = []
-        self.owners: list[str] = []
+        self.lines, self.owners = list[str](), list[str]()
         self.clocks: dict[str, _State] = {}
         self.watched: list[str] = []
         """The names of which a chart asks whether they have changed."""

@@ -1,13 +1,15 @@
 """What is written in a chart: the actions of a state, the label of a transition, C as MATLAB's language."""
 
 import re
-from collections.abc import Set
+from collections.abc import Callable, Mapping, Set
+from typing import Any
 
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.slx.model import collapsed
 from twodof.slx.translation import NotTranslated
 
 COMMENT = re.compile(r"%[^\n]*|//[^\n]*|/\*.*?\*/", re.DOTALL)
+_COMMENT_OR_STRING = re.compile(r'("(?:[^"\n]|"")*")|' + COMMENT.pattern, re.DOTALL)
 _CONTINUED = re.compile(r"\.\.\.[^\n]*\n")
 _ACTIONS = {"en": "entry", "entry": "entry", "du": "during", "during": "during", "ex": "exit", "exit": "exit"}
 _KEYWORD = re.compile(
@@ -149,6 +151,36 @@ class _Translation:
                     self.at += 2
             made = f"{made}({', '.join(inside)})"
         return made
+
+
+def without_strings(data: list[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], Callable[[str, str], str]]:
+    """Return a chart's data with its own strings as whole numbers, and what writes its texts so.
+
+    A string is the number of its literal, and an empty one 0. The writer takes a text and its owner, and raises
+    NotTranslated for strings that are neither compared nor assigned alone.
+    """
+    own = [one["name"] for one in data if one["values"].get("dataType") == "string"]
+    if not own or any(one["values"].get("scope") != "LOCAL_DATA" for one in data if one["name"] in own):
+        return data, lambda text, owner: text
+    numbers = {'""': 0}
+    term = rf'(?:"(?:[^"\n]|"")*"|(?<![\w.])(?:{"|".join(own)})(?!\s*[\w.(]))'
+    pair = re.compile(rf"(?<![-+*/<>])({term})(\s*(?:[=~!]?=)\s*)({term})(?!\s*[-+*/=<>.(\[{{])")
+
+    def number(text: str) -> str:
+        return f"int32({numbers.setdefault(text, len(numbers))})" if text.startswith('"') else text
+
+    def written(text: str, owner: str) -> str:
+        bare = _COMMENT_OR_STRING.sub(lambda found: found[1] or "", text)
+        if left := re.search(term, pair.sub(" ", bare)):
+            raise NotTranslated(f"{owner}: the string {left[0]} is neither compared nor assigned alone")
+        return pair.sub(lambda found: f"{number(found[1])}{found[2]}{number(found[3])}", bare)
+
+    made = list[Mapping[str, Any]]()
+    for one in data:
+        start = one["values"].get("props/initialValue") or '""'
+        counted = {"dataType": "int32", "props/initialValue": number(start) if start.startswith('"') else start}
+        made.append({**one, "values": {**one["values"], **counted}} if one["name"] in own else one)
+    return made, written
 
 
 def actions_of(text: str, state: str) -> dict[str, str]:

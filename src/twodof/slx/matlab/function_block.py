@@ -103,14 +103,24 @@ class MatlabFunction(Block):
             for name, one in initial.items()
         )
         self.first = self.first or not _same((results, kept), self._called(u, initial))
-        self.kept = {name: _state_name(name) for name in kept}
-        self.sizes = {name: value.shape for name, value in kept.items()}
-        self.states = [
-            _state(self.kept[name], value, None if self.first else initial[name]) for name, value in kept.items()
-        ]
-        self.states += [State(_CALLED, False, "bool")] * self.first
-        x = with_matrices(States(dict(leaves_of("state", self.states))), matrices(self.states))
-        for name, value in self._called(u, self._remembered(x))[1].items():
+        self.late: Names = {}
+        while True:  # of functions that only later calls come to
+            self.kept = {name: _state_name(name) for name in kept}
+            self.sizes = {name: value.shape for name, value in kept.items()}
+            self.states = [
+                _state(self.kept[name], value, None if self.first else initial.get(name))
+                for name, value in kept.items()
+            ]
+            self.states += [State(_CALLED, False, "bool")] * self.first
+            x = with_matrices(States(dict(leaves_of("state", self.states))), matrices(self.states))
+            later = self._called(u, self._remembered(x))[1]
+            new = {name: later[name] for name in later.keys() - kept.keys()}
+            if not new:
+                break
+            new |= {f"{name}?": np.array([[False]]) for name in new if not name.endswith("?")}
+            self.late |= {name: _zeros(value) for name, value in new.items()}
+            kept |= dict(sorted(new.items()))
+        for name, value in later.items():
             if value.shape != kept[name].shape or class_of(value) != class_of(kept[name]):
                 raise NotComputed(f"the persistent {name.split('.')[1]} changes its size or class")
         results = self._computed(u, x)[0]
@@ -149,7 +159,8 @@ class MatlabFunction(Block):
             return later
         first, called = self._called(u, {}), x[_CALLED]
         pairs = zip(first, later, strict=True)
-        results, kept = ({name: chosen(called, b[name], a[name], name) for name in b} for a, b in pairs)
+        both = (({**self.late, **a}, b) for a, b in pairs)
+        results, kept = ({name: chosen(called, b[name], a[name], name) for name in b} for a, b in both)
         return results, kept
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
@@ -255,6 +266,10 @@ def _plain(array: Array, declared: Port | State) -> Any:
     """Return an array as the value of a port or state."""
     elements = [cast(one, declared.kind) for one in lifted(array).flatten(order="F")]
     return elements[0] if declared.width is None else shaped(vector(elements), declared.shape)
+
+
+def _zeros(array: Array) -> Array:
+    return np.zeros(array.shape, {"real": "float64"}.get(class_of(array), class_of(array)))
 
 
 def _same(one: tuple[Names, Names], other: tuple[Names, Names]) -> bool:

@@ -160,7 +160,10 @@ class Program:
             self.evaluation.names[self._kept(name)] = self.evaluation.names[name]
 
     def _kept(self, name: str) -> str:
-        """Return the name under which a persistent variable is kept between calls."""
+        """Return the name under which a persistent variable is kept between calls.
+
+        With a `?` it says if the variable has a value, where that depends on signals.
+        """
         return f"{self.code.prefix}{self.function_run.name}.{name}"
 
     def block(self, statements: Sequence[Tree]) -> None:
@@ -224,6 +227,12 @@ class Program:
             a, b = first.get(name, missing), second.get(name, missing)
             if name.startswith(IN_BASE) and (a is None or b is None):
                 raise NotComputed(f"{name.removeprefix(IN_BASE)} of the base workspace is there in one branch only")
+            if "." in name and not name.endswith("?"):
+                one_there, other_there = (as_array(side.get(f"{name}?", np.array([[name in side]]))) for side in made)
+                if not all(not is_signal(one) and one.all() for one in (one_there, other_there)):
+                    before[f"{name}?"] = chosen(condition, one_there, other_there, name)
+            if name.endswith("?"):
+                continue
             before[name] = a if b is None else b if a is None else chosen(condition, a, b, name)
 
     def statement(self, tree: Tree) -> None:
@@ -280,6 +289,8 @@ class Program:
                 steps.append(tuple(self.arguments(step.parts, old if isinstance(old, np.ndarray) else EMPTY)))
                 old = None
         value = compute()
+        if f"{self._kept(name)}?" in self.evaluation.names and name in self.persistent:
+            self.evaluation.names[f"{self._kept(name)}?"] = np.array([[True]])
         self.evaluation.names[name] = stored(self.evaluation.names.get(name), steps, value)
 
     def _assign_several(self, source: Tree, targets: Sequence[Tree]) -> None:
@@ -536,7 +547,8 @@ class Program:
         """Call a function, or return a constant; `isempty` looks at a persistent variable without reading it."""
         asked = arguments[0].parts if name == "isempty" and arguments else ()
         if len(asked) == 1 and asked[0].kind == "name" and asked[0].text in self.persistent:
-            return np.array([[asked[0].text in self._empty()]])
+            there = self.evaluation.names.get(f"{self._kept(asked[0].text)}?")
+            return np.array([[asked[0].text in self._empty()]]) if there is None else signed("~", as_array(there))
         return self.called(name, self.arguments(arguments or ()), arguments is not None)
 
     def _of_base(self, where: Value, text: Value, *assigned: Value) -> Value:
