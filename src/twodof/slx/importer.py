@@ -171,8 +171,7 @@ class _Import(Wiring):
             with suppress(DiagramError):  # what is wrong with it is said when it is compiled
                 self.notes += with_solved_loops(diagram)
             imported.diagram = None if imported.refused else diagram  # some things only the connections show
-        order = {"refused": 0, "not reached": 1, "approximated": 2, "dropped": 3, "imported": 4}
-        self.report.sort(key=lambda line: order[line.status])
+        self.report.sort(key=lambda line: "refused, not reached, approximated, dropped, imported".index(line.status))
         return imported
 
     # --- what there is
