@@ -107,10 +107,16 @@ def test_a_resettable_subsystem_is_initial_while_its_level_lasts(tmp_path: Path)
     assert np.array_equal(found["y"], summed(np.ones(STEPS, bool), control > 0.0, 0.0))
 
 
-def actions(tmp_path: Path, choice: tuple[str, dict[str, str]], labels: list[str], state: str) -> Imported:
-    """Import a model of action subsystems with sums, merged."""
+def actions(
+    tmp_path: Path, choice: tuple[str, dict[str, str]], labels: list[str], state: str, apart: bool = False
+) -> Imported:
+    """Import a model of action subsystems with sums, merged; `apart` in another subsystem, to which buses lead."""
     parts: Blocks = []
     lines: Lines = [("pick", "choice:1")]
+    count = len(labels)
+    merge = ("Merge", "merge", {"Ports": f"[{count}, 1]", "InitialOutput": "-3"})
+    inner: Blocks = [merge, ("Outport", "out", {})]
+    inner_lines: Lines = [("merge", "out")]
     for k, label in enumerate(labels, start=1):
         port = ("ActionPort", "act", {"InitializeStates": state})
         inside = ([*COUNT, ("Outport", "out", {}), port], COUNTED)
@@ -118,21 +124,27 @@ def actions(tmp_path: Path, choice: tuple[str, dict[str, str]], labels: list[str
             ("SubSystem", label, {"Ports": "[1, 1]"}, inside),
             ("Gain", f"k{k}", {"Gain": str(k)}),
         ]
-        lines += [("u", f"k{k}"), (f"k{k}", label), (f"choice:{k}", f"{label}#ifaction"), (label, f"merge:{k}")]
+        lines += [("u", f"k{k}"), (f"k{k}", label), (f"choice:{k}", f"{label}#ifaction")]
+        lines += [(label, f"bus{k}"), (f"bus{k}", f"merging:{k}")] if apart else [(label, f"merge:{k}")]
+        parts += [("BusCreator", f"bus{k}", {"Inputs": "1", "Ports": "[1, 1]"})] if apart else []
+        inner.append(("Inport", f"in{k}", {"Port": str(k)}))
+        inner.append(("BusSelector", f"take{k}", {"OutputSignals": "signal1", "Ports": "[1, 1]"}))
+        inner_lines += [(f"in{k}", f"take{k}"), (f"take{k}", f"merge:{k}")]
     blocks: Blocks = [
         ("Inport", "u", REAL),
         ("Inport", "pick", {"Port": "2", **REAL}),
-        (choice[0], "choice", {"Ports": f"[1, {len(labels)}]", **choice[1]}),
+        (choice[0], "choice", {"Ports": f"[1, {count}]", **choice[1]}),
         *parts,
-        ("Merge", "merge", {"Ports": f"[{len(labels)}, 1]", "InitialOutput": "-3"}),
+        ("SubSystem", "merging", {"Ports": f"[{count}, 1]"}, (inner, inner_lines)) if apart else merge,
         ("Outport", "y", {}),
     ]
-    return imported(tmp_path, blocks, [*lines, ("merge", "y")])
+    return imported(tmp_path, blocks, [*lines, ("merging" if apart else "merge", "y")])
 
 
+@pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize("state", ["held", "reset"])
 @pytest.mark.parametrize("kind", ["If", "SwitchCase"])
-def test_the_action_that_is_chosen_acts_and_is_merged(tmp_path: Path, kind: str, state: str) -> None:
+def test_the_action_that_is_chosen_acts_and_is_merged(tmp_path: Path, kind: str, state: str, apart: bool) -> None:
     if kind == "If":
         values = {"IfExpression": "u1 > .5 & ~(u1 >= 2*one)", "ElseIfExpressions": "u1 == 0 | u1 == -1, u1 < -1"}
         pick = DRAWN[1].round(0)
@@ -145,7 +157,7 @@ def test_the_action_that_is_chosen_acts_and_is_merged(tmp_path: Path, kind: str,
         labels = ["first", "second"]
     if kind == "If":
         values["IfExpression"] = values["IfExpression"].replace("one", "1")
-    found = flown(actions(tmp_path, (kind, values), labels, state), u=DRAWN[0], pick=pick)
+    found = flown(actions(tmp_path, (kind, values), labels, state, apart), u=DRAWN[0], pick=pick)
     states, y, wanted, last = [1.0] * len(labels), -3.0, [], -1
     for k, (u, at) in enumerate(zip(DRAWN[0], chosen, strict=True)):
         if at >= 0:

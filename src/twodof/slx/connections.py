@@ -120,6 +120,8 @@ class Connections:
         self.conditions: dict[str, list[Activation]] = {}
         self.beyond: dict[tuple[str, str], Output] = {}
         """Outputs that lead into a sheet from another one, by its path and the name of the input made for them."""
+        self.acting: dict[tuple[str, str], tuple[int, tuple[str, ...]]] = {}
+        """Inputs made for a sheet that say whether what drives another of its inputs acts: its number, the element."""
         self.rates: dict[tuple[str, str], Rate] = {}
         self.held: dict[tuple[str, str], Rate] = {}
         """Rates of Rate Transitions whose input is slower."""

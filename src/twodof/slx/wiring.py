@@ -121,6 +121,10 @@ class Wiring(Connections):
         for k, port in enumerate(ports):
             pin = Pin(sid, "in", k + 1)
             inner = below(path, block)
+            if isinstance(item, Diagram) and (inner, port) in self.acting:
+                number, element = self.acting[inner, port]
+                diagram.connect(self._acts(path, Pin(sid, "in", number), element), f"{name}.{port}")
+                continue
             if isinstance(item, Diagram) and (inner, port) in self.beyond:
                 diagram.connect(self._name(path, self.beyond[inner, port], names, diagram), f"{name}.{port}")
                 continue
@@ -195,13 +199,30 @@ class Wiring(Connections):
             sheet.helpers[wanted] = f"{name}.{block.outputs[0].name}"
         return sheet.helpers[wanted]
 
-    def _acts(self, path: str, pin: Pin) -> str:
-        """Return the source of the bool that says whether what drives an input of a Merge acts."""
+    def _acts(self, path: str, pin: Pin, element: tuple[str, ...] = ()) -> str:
+        """Return the source of the bool that says whether what drives an input of a Merge acts.
+
+        It is looked for through buses, of which the input is this `element`, and outside the Merge's subsystem.
+        """
         sheet, source = self.sheets[path], self._source(path, pin)
         if source is None:
             raise NotTranslated("nothing drives an input")
         block = self.blocks[source[:2]]
         inner = below(path, block)
+        if block.type == "BusSelector" and source[0] == path:
+            taken = block.values.get("OutputSignals", "").split(",")[source[2] - 1].split(".")
+            return self._acts(path, Pin(source[1], "in", 1), (*taken, *element))
+        if block.type == "BusCreator" and element and source[0] == path:
+            pins = self._inputs((path, source[1]))
+            labels = [self._label(path, one) or f"signal{one.number}" for one in pins]
+            if element[0] in labels:
+                return self._acts(path, pins[labels.index(element[0])], element[1:])
+        if block.type == "Inport" and source[0] == path and sheet.owner and path not in self.iterated:
+            port = safe("_".join((sheet.parts[source[1]], *element, "acts")), set(sheet.parts.values()))
+            if (path, port) not in self.acting:
+                sheet.diagram.input(port, "bool")
+                self.acting[path, port] = port_number(block), element
+            return port
         acting = [one for one in self.conditions.get(inner, ()) if one.pin != "reset"] if source[0] == path else []
         if acting:
             return self._flag(path, source[1], acting[0])

@@ -228,12 +228,12 @@ def read_workspace(
 ) -> list[Skipped]:
     """Add what a script (.m) or a .mat file gives a value to `names`; return what was not computed.
 
-    Raises DiagramError for a file that cannot be read.
+    Scripts that it calls are looked for beside it first. Raises DiagramError for a file that cannot be read.
     """
     try:
         if path.suffix == ".m":
             code, _ = fence.read(script_text, path)
-            return run(code, names, folders, depth)
+            return run(code, names, [path.parent, *folders], depth)
         plain, arrays = fence.read(mat_values, path)
     except LogError as reason:
         raise DiagramError(reason.what, reason.where, "give a script (.m) or a .mat of format 7 or older") from reason
