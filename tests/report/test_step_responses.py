@@ -11,10 +11,11 @@ import pytest
 
 from twodof.cli.app import run
 from twodof.errors import LogError
+from twodof.flightlog.contents import log_summary
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.steps import SAFETY
-from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
+from twodof.report.plots.comparison_view import Align, comparison_view, flight_names, flight_steps, step_rows
 from twodof.report.step_responses import folded_steps, most_stepped, step_responses
 from twodof.signals import ATTITUDE, PERIOD
 
@@ -144,6 +145,15 @@ def test_flights_are_aligned_at_their_first_steps() -> None:
     assert len(view.notes) == 2
     assert len(step_rows(flight_steps(logs))) == 4
     assert comparison_view(logs, Align.start).span == pytest.approx((0.0, 5.0), abs=2.0 * PERIOD)
+
+
+def test_recorded_flights_are_named_by_their_gains() -> None:
+    def recorded(**tuned: float) -> FlightLog:
+        return FlightLog(flight(10.0).channels, {"drone": {"controller": "stock", "parameters": tuned}})
+
+    logs = {"one": recorded(), "other": recorded(ATT_KP=5.0)}  # what is not told has its default
+    assert flight_names(logs) == {"one": "ATT_KP 11", "other": "ATT_KP 5"}
+    assert [log_summary(log)["tuned"] for log in logs.values()] == [[], [["ATT_KP", 5.0]]]
 
 
 @pytest.mark.parametrize(

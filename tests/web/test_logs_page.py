@@ -125,6 +125,16 @@ def test_compared_flights_show_their_steps(logs_server: Served, flights: Path, o
     later = [step_responses(read_log(flights / "flights" / name))[2].time for name in (FIRST, SECOND)]
     for time in later:
         expect(page.get_by_role("row", name=f"{time:.2f}").first).to_have_class(re.compile("now"))
+    log = read_log(flights / "flights" / FIRST)
+    inside = (log["theta"].time >= later[0]) & (log["theta"].time <= later[0] + 1.0)
+    for _ in patiently():  # around the step each sample is shown, not a thinned curve of the whole flight
+        with page.expect_download() as saved:
+            page.get_by_role("button", name="CSV").first.click()
+        rows = [row.split(",") for row in saved.value.path().read_text().splitlines()]
+        shown = [row for row in rows if "RATE_P 0.2" in row[0] and 0.0 <= float(row[1]) <= 1.0]
+        if len(shown) > 0.98 * inside.sum():
+            break
+        page.wait_for_timeout(500)
     other = step_responses(read_log(flights / "flights" / SECOND))[1].time
     row = page.get_by_role("row").filter(has_text=called[SECOND]).filter(has_text=f"{other:.2f}")
     row.get_by_role("button", name=f"Align at {other:.2f} s").click()

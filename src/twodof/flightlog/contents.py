@@ -235,7 +235,7 @@ def _shape(steps: Sequence[Event], end: float) -> str:
 
 SPARK_COLUMNS = 96
 _SPARKS = ("theta", "x", "q", "M")
-_MOST_TEXT = 200
+_MOST_TEXT, _MOST_TUNED = 200, 6
 
 
 def log_summary(log: FlightLog) -> dict[str, Any]:
@@ -252,6 +252,7 @@ def log_summary(log: FlightLog) -> dict[str, Any]:
         "virtual": _flag(flown.get("virtual"), drone.get("virtual")),
         "drone": drone.get("system") if isinstance(drone.get("system"), int) else None,
         "controller": _short_text(flown.get("controller")) or _short_text(drone.get("controller")),
+        "tuned": _tuned(told.get("parameters", drone.get("parameters"))) if "ulog" not in told else [],
         "seed": told["seed"] if isinstance(told.get("seed"), int) else None,
         "reason": _short_text(flown.get("reason")),
         "channels": len(log.channels),
@@ -262,6 +263,12 @@ def log_summary(log: FlightLog) -> dict[str, Any]:
 def _table(told: dict[str, Any], name: str) -> dict[str, Any]:
     found = told.get(name)
     return found if isinstance(found, dict) else {}
+
+
+def _tuned(parameters: object) -> list[list[Any]]:
+    """Return name and value of parameters that differ from their defaults, `_MOST_TUNED` at most."""
+    known = [*parameters.items()] if isinstance(parameters, dict) else []
+    return [[str(name)[:80], value] for name, value in known if isinstance(value, int | float)][:_MOST_TUNED]
 
 
 def _short_text(value: object) -> str | None:

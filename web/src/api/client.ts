@@ -24,7 +24,6 @@ export function takeToken(): void {
   history.replaceState(null, "", here);
 }
 
-/** Return the token of this tab, or "" if there is none. */
 export function token(): string {
   return sessionStorage.getItem(TOKEN) ?? "";
 }

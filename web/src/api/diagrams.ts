@@ -183,6 +183,5 @@ export async function simulink(files: readonly File[], system: string, end: Abor
   return (await (await request("POST", path, new Blob([...files]), 60, end)).json()) as SimulinkSystem;
 }
 
-/** Flash a rehearsed diagram. The drone builds it in up to two minutes. */
 export const startFlash = (text: string, drone: number, rehearsal: string, force: boolean) =>
   send<Job<{ drone: number; template: string }>>("POST", "diagrams/flash", { text, drone, rehearsal, force });

@@ -49,7 +49,6 @@ export interface Reset {
   rings: boolean;
 }
 
-/** JSON form of an excitation of the library. */
 export type Excitation = { kind: string; version: number } & Record<string, unknown>;
 
 export const listDrones = () => get<DroneState[]>("drones");

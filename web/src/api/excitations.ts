@@ -25,7 +25,6 @@ export interface PredictedMotion {
   /** Predicted action of the failsafe, "" for none. */
   failsafe: string;
   failsafe_at: number | null;
-  /** Identified model, or the rig. */
   by: string;
 }
 

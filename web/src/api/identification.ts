@@ -79,7 +79,6 @@ export interface EstimateRow {
   /** Not estimated. */
   held: boolean;
   sum: boolean;
-  /** Result of the simple method. */
   simple: number | null;
   /** Value of the virtual rig that flew, if the log names one. */
   truth: number | null;

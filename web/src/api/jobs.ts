@@ -1,6 +1,5 @@
 import { ApiError, get, patiently, send } from "./client";
 
-/** Background computation of the server. */
 export interface Job<T> {
   id: string;
   kind: string;

@@ -49,6 +49,8 @@ export interface LogSummary {
   virtual: boolean | null;
   drone: number | null;
   controller: string | null;
+  /** Parameters that are not at their defaults at the start. */
+  tuned: [string, number][];
   reason: string | null;
   channels: number;
   spark: Spark | null;
@@ -155,27 +157,34 @@ export const renameLog = (name: string, to: string): Promise<{ name: string }> =
 /** Return a window of a log, or all of it, with `points` per curve: plots of the signals in `panels`, then the usual. */
 export function logView(
   name: string,
-  window?: readonly [number, number],
-  points = 2000,
-  panels: readonly (readonly string[])[] = [],
+  window: readonly [number, number] | undefined,
+  points: number,
+  panels: readonly (readonly string[])[],
 ): Promise<LogView> {
-  const query = new URLSearchParams({ points: String(points) });
+  const query = new URLSearchParams();
   for (const panel of panels) query.append("panel", panel.join("\n"));
-  if (window) {
-    query.set("begin", String(window[0]));
-    query.set("end", String(window[1]));
-  }
+  addPart(query, window, points);
   return get(`${of(name)}/view?${query}`);
 }
 
-/** Compare logs; `zero` are their times 0 [s], in place of their first steps. */
+function addPart(query: URLSearchParams, window: readonly [number, number] | undefined, points: number): void {
+  query.set("points", String(points));
+  if (!window) return;
+  query.set("begin", String(window[0]));
+  query.set("end", String(window[1]));
+}
+
+/** Compare logs; `zero` are their times 0 [s], in place of their first steps; `window` counts from these. */
 export function compareLogs(
   names: readonly string[],
   align: "step" | "start",
-  zero: readonly number[] = [],
+  zero: readonly number[],
+  window: readonly [number, number] | undefined,
+  points: number,
 ): Promise<LogComparison> {
   const query = new URLSearchParams([["align", align], ...names.map((name) => ["name", name])]);
   for (const time of zero) query.append("zero", String(time));
+  addPart(query, window, points);
   return get(`logs/compare?${query}`);
 }
 
@@ -189,7 +198,6 @@ export async function logFile(name: string, form: Format): Promise<Blob> {
   return (await request("GET", `${of(name)}/file?form=${form}`, undefined, FILE_S)).blob();
 }
 
-/** Upload a log and return its name on the server. */
 export async function addLog(
   name: string,
   content: Blob,

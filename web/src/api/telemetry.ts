@@ -55,7 +55,6 @@ export class Telemetry {
 
   constructor(private readonly connect: () => Socket) {}
 
-  /** Open the socket and keep it open. */
   start(): void {
     if (this.socket === undefined) this.open();
   }
@@ -102,7 +101,6 @@ export class Telemetry {
     return () => this.listeners.delete(listener);
   }
 
-  /** Report changes of the connection. Returns a function that ends it. */
   onConnection(watcher: (connected: boolean) => void): () => void {
     this.watchers.add(watcher);
     return () => this.watchers.delete(watcher);
@@ -205,5 +203,4 @@ function openSocket(): Socket {
   return new WebSocket(url);
 }
 
-/** Socket of the page; `session` starts it. */
 export const telemetry = new Telemetry(openSocket);

@@ -11,7 +11,6 @@ export interface ParameterRow {
   high: number | null;
   unit: string;
   text: string;
-  /** Name on the page. */
   label: string;
   /** Path in the user's controller, else "". */
   path: string;
@@ -64,7 +63,6 @@ export interface Preview extends PredictedStep {
   verdict: { robust: boolean; text: string; disk_margin_deg: number };
 }
 
-/** Flown step of theta, scaled to the goal. */
 export interface MeasuredStep {
   at: number;
   time: number[];
@@ -133,7 +131,6 @@ export const compareSnapshot = (drone: number, name: string, other = "") =>
     `${at(drone)}/snapshots/${encodeURIComponent(name)}${other && `?other=${encodeURIComponent(other)}`}`,
   );
 
-/** Return a file for QGroundControl, of the drone or of a snapshot. */
 export async function parameterFile(drone: number, snapshot = ""): Promise<Blob> {
   const place = snapshot === "" ? "file" : `snapshots/${encodeURIComponent(snapshot)}/file`;
   return (await request("GET", `${at(drone)}/${place}`)).blob();

@@ -10,7 +10,6 @@ export interface Start {
   rings: boolean;
 }
 
-/** Inputs of the flight code, SI. */
 export interface Command {
   /** Index into signals.MODES. */
   mode: number;
@@ -44,7 +43,6 @@ const OUTPUTS: Readonly<Record<string, string>> = {
 /** Most control steps per call, so that a page that slept does not catch up. */
 const MOST_STEPS = 500;
 
-/** Flight of the virtual rig with the real flight code. */
 export class Flight {
   readonly history = new History([...Object.keys(OUTPUTS), "state.mode"], 1 << 17);
   steps = 0;
@@ -74,7 +72,6 @@ export class Flight {
     return this.began + this.steps * this.period;
   }
 
-  /** Start in hover in the middle of the rail. */
   start(start: Start): void {
     const { program, data } = this;
     const at = data.starts.hover;

@@ -6,7 +6,6 @@ export interface Knob {
   label: string;
   unit: string;
   high: number;
-  /** Name in the link. */
   key: string;
 }
 

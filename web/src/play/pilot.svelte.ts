@@ -4,7 +4,6 @@ import { KNOBS, MODES, type FlyMode } from "./knobs";
 /** Half a period of the automatic steps [s]. */
 const HALF = 2.5;
 
-/** Settings of the page, and the clock of the flight. */
 export class Pilot {
   start: Start = $state({ rig: "lab", seed: 1, noise: true, rings: true });
   mode: FlyMode = $state.raw(MODES[0]!);
@@ -34,7 +33,6 @@ export class Pilot {
     return this.defaults[path] ?? NaN;
   }
 
-  /** Restart in hover. The same seed gives the same bits. */
   again(change: Partial<Start> = {}): void {
     Object.assign(this.start, change);
     const troubles = { ...this.values };

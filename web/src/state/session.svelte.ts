@@ -8,7 +8,6 @@ import { toast, toastError, tried } from "./toasts.svelte";
 const TEXTS_KEPT = 500;
 const LOOK_MS = 1000;
 
-/** State of all pages: drones, the chosen one, the connection. */
 class Session {
   /** By number. */
   drones = $state.raw<ReadonlyMap<number, DroneState>>(new Map());

@@ -54,7 +54,6 @@ const ARRAYS = {
   uint16: Uint16Array,
 } as const;
 
-/** View the numbers of an entry in the memory. */
 export function numbersAt(memory: ArrayBuffer, entry: Entry, offset = 0): Numbers {
   return new ARRAYS[entry.type](memory, entry.address + offset, entry.count);
 }

@@ -12,6 +12,7 @@ import numpy as np
 from twodof.errors import LogError, printable
 from twodof.flightlog.events import SETPOINTS
 from twodof.flightlog.log import FlightLog
+from twodof.parameters import PARAMETERS
 from twodof.report.plots.flight_view import PANELS, SYMBOL, Curve, ExpectedBand, FlightView, View, cut_curve
 from twodof.report.step_responses import FOLLOWING, FlownStep, most_stepped, step_responses
 
@@ -32,6 +33,7 @@ _PROMISED: Mapping[str, tuple[str, float]] = {
 }
 _MOST_NAMED = 3
 """Most parameters in the name of a flight."""
+_DEFAULTS = {row.name: row.default for row in PARAMETERS if row.tuning}
 _MOST_STEPS = 4
 """Most steps over the bands of a promise in one picture."""
 
@@ -93,8 +95,11 @@ def _flown_with(log: FlightLog) -> dict[str, float | str]:
     for source in (told.get("drone"), told.get("flown")):
         if isinstance(source, dict) and isinstance(source.get("controller"), str):
             values["controller"] = source["controller"]
-    parameters, changes = told.get("parameters"), told.get("changes")
+    drone, changes = told.get("drone"), told.get("changes")
+    parameters = told.get("parameters", drone.get("parameters") if isinstance(drone, dict) else None)
     rows = [*parameters.items()] if isinstance(parameters, dict) else []
+    if isinstance(parameters, dict) and "ulog" not in told:  # these are the ones that differ from the defaults
+        rows = [*_DEFAULTS.items(), *rows]
     made = changes if isinstance(changes, list) else []
     rows += [(row[1], row[2]) for row in made if isinstance(row, list) and len(row) == 3]
     return values | {str(name): value for name, value in rows if isinstance(value, int | float)}

@@ -27,7 +27,6 @@ export function inputSeries(input: FitView["inputs"][number]): Series[] {
   return [curve(input.name, "input", input.time, input.value, input.unit)];
 }
 
-/** Return a correlation over its lags, with its bound. */
 export function testSeries(test: ResidualTest): Series[] {
   const band = { low: test.bound.map((value) => -value), high: test.bound };
   const zero = test.lags.map(() => 0);

@@ -19,7 +19,6 @@ function seed(): number {
   return Math.floor(Math.random() * 2 ** 31);
 }
 
-/** State of the page from the choice of an experiment to the fit. */
 export class Identification {
   choices = $state.raw<Choices | undefined>(undefined);
   name = $state("impulse");

@@ -13,13 +13,11 @@ export function byLoop(rows: readonly ExperimentRow[]): readonly (readonly [stri
 export const experimentRequest = ({ name }: ExperimentRow, excitation: Excitation | undefined): ExperimentRequest =>
   excitation === undefined ? { name } : { name, excitation };
 
-/** Return the experiment that a log is named after. */
 export function experimentOf(log: string, names: readonly string[]): string | undefined {
   const stem = log.replace(/\.\w+$/, "").replace(/-\d$/, "");
   return names.filter((name) => stem.endsWith(`-${name}`)).sort((a, b) => b.length - a.length)[0];
 }
 
-/** Return the newest log of an experiment; `flights` are sorted. */
 export const latestOf = (flights: readonly string[], name: string, names: readonly string[]): string | undefined =>
   flights.find((log) => experimentOf(log, names) === name);
 

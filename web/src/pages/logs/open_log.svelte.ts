@@ -8,13 +8,16 @@ import { ownPlots } from "./own_plots.svelte";
 import { advance, Replay } from "./replay";
 
 const LOUD = ["emergency", "alert", "critical", "error", "warning"];
-const POINTS = 4000;
+export const POINTS = 4000;
 const PAUSE_MS = 150;
 
 export class OpenLog {
   facts = $state.raw<LogFacts | undefined>();
   whole = $state.raw<LogView | undefined>();
-  shown = $state.raw<readonly Panel[]>([]);
+  readonly curves = new FinerCurves(
+    async (window) => panels(await logView(this.name, window, POINTS, ownPlots.panels), [], ownPlots.panels.length),
+    () => this.span,
+  );
   steps = $state.raw<{ steps: readonly LoggedStep[]; unclear: string }>({ steps: [], unclear: "" });
   replay = $state.raw<Replay | undefined>();
   failure = $state<unknown>(undefined);
@@ -28,7 +31,7 @@ export class OpenLog {
   speed = $state(1);
   readonly span = $derived<readonly [number, number]>(this.facts?.span ?? [0, 1]);
   /** Time [s] in the log that is shown as 0. */
-  readonly zero = $derived(ownPlots.fromZero ? this.span[0] : 0);
+  readonly zero = $derived(ownPlots.fromZero || this.span[0] > 1e8 ? this.span[0] : 0); // beyond it stands Unix time
   readonly view = new LineView(
     () => this.span,
     false,
@@ -47,10 +50,7 @@ export class OpenLog {
     return marks.filter(({ time }) => time === this.inside(time)).sort((a, b) => a.time - b.time);
   });
 
-  private all: readonly Panel[] = [];
   private frame = 0;
-  /** Range of the request on its way, or of the next one. */
-  private wanted: readonly [number, number] | undefined;
 
   constructor(readonly name: string) {}
 
@@ -80,32 +80,8 @@ export class OpenLog {
   async plot(): Promise<void> {
     const own = ownPlots.panels;
     this.whole = await logView(this.name, undefined, POINTS, own);
-    this.all = this.shown = panels(this.whole, [], own.length);
-    void this.look(this.view.range());
-  }
-
-  /** Load more points of the visible range, again while it changes. */
-  async look(range: readonly [number, number]): Promise<void> {
-    const busy = this.wanted !== undefined;
-    this.wanted = range;
-    for (let ready = busy; !ready; ready = this.wanted === range) {
-      await new Promise((done) => setTimeout(done, PAUSE_MS));
-      const [low, high] = (range = this.wanted);
-      const [start, end] = this.span;
-      if ((low <= start && high >= end) || !isThinned(this.all, POINTS)) {
-        this.shown = this.all;
-        continue;
-      }
-      const margin = 0.5 * (high - low);
-      try {
-        const own = ownPlots.panels;
-        const part = await logView(this.name, [low - margin, high + margin], POINTS, own);
-        this.shown = merged(this.all, panels(part, [], own.length));
-      } catch {
-        // What is shown stays: it is the same part, with fewer points.
-      }
-    }
-    if (!busy) this.wanted = undefined;
+    this.curves.show(panels(this.whole, [], own.length));
+    void this.curves.look(this.view.range());
   }
 
   seek(time: number): void {
@@ -140,6 +116,47 @@ export class OpenLog {
 
   private inside(time: number): number {
     return Math.min(this.span[1], Math.max(this.span[0], time));
+  }
+}
+
+/** Plots with more points of the visible range, which `ask` requests; `span` is the range of all data. */
+export class FinerCurves {
+  shown = $state.raw<readonly Panel[]>([]);
+  private all: readonly Panel[] = [];
+  /** Range of the request on its way, or of the next one. */
+  private wanted: readonly [number, number] | undefined;
+
+  constructor(
+    private readonly ask: (window: readonly [number, number]) => Promise<Panel[]>,
+    private readonly span: () => readonly [number, number],
+  ) {}
+
+  show(all: readonly Panel[]): void {
+    this.all = this.shown = all;
+  }
+
+  /** Load more points of the visible range, again while it changes. */
+  async look(range: readonly [number, number]): Promise<void> {
+    const busy = this.wanted !== undefined;
+    this.wanted = range;
+    for (let ready = busy; !ready; ready = this.wanted === range) {
+      await new Promise((done) => setTimeout(done, PAUSE_MS));
+      const [low, high] = (range = this.wanted);
+      const [start, end] = this.span();
+      const { all } = this;
+      if ((low <= start && high >= end) || !isThinned(all, POINTS)) {
+        this.shown = all;
+        continue;
+      }
+      const margin = 0.5 * (high - low);
+      try {
+        const part = await this.ask([low - margin, high + margin]);
+        if (this.all === all) this.shown = merged(all, part);
+      } catch {
+        // What is shown stays: it is the same part, with fewer points.
+      }
+    }
+    if (!busy) this.wanted = undefined;
   }
 }
 

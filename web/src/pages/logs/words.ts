@@ -1,5 +1,6 @@
 // How logs are spoken of: names that the server takes, sizes, times, what flew.
 
+import { tick } from "../../chart/numbers";
 import type { LogRow, LogSummary } from "../../api/logs";
 
 const SUFFIX = /\.(mcap|mat|parquet|csv|ulg)$/i;
@@ -43,7 +44,9 @@ export function when(row: Pick<LogRow, "changed">, summary?: Pick<LogSummary, "b
 export function flown(summary: LogSummary): string {
   const rig = summary.rig === null ? null : `rig ${summary.rig}${summary.virtual ? " (virtual)" : ""}`;
   const controller = summary.controller === "stock" ? "stock controllers" : summary.controller;
-  return [summary.drone === null ? null : `drone ${summary.drone}`, rig, controller].filter(Boolean).join(", ");
+  const tuned = summary.tuned.map(([name, value]) => `${name} ${tick(value)}`);
+  const drone = summary.drone === null ? null : `drone ${summary.drone}`;
+  return [drone, rig, controller, ...tuned].filter(Boolean).join(", ");
 }
 
 /** Return the SVG path of a spark within `width` and `height`. */

@@ -7,7 +7,6 @@ import { Label } from "./labels";
 import type { Materials } from "./materials";
 import { box, rodX, rodZ, shaped } from "./shapes";
 
-/** Build the frame and its scale. */
 export function bench(materials: Materials): { group: Group; labels: Label[] } {
   const group = new Group();
   const { metal, steel, rubber, scale } = materials;
@@ -69,7 +68,6 @@ export function cart(materials: Materials): Group {
   return group;
 }
 
-/** Build the rings on both sides of the cart. */
 export function rings(materials: Materials): Group {
   const group = new Group();
   for (const z of [-BAR_SIDE, BAR_SIDE])
