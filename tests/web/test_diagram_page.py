@@ -117,6 +117,14 @@ def test_a_starter_is_drawn_and_simulated(server: Served, open_page: OpenPage) -
     assert axe(page, "dialog") == []
 
 
+def test_the_whole_sheet_is_shown_beside_its_buttons(server: Served, open_page: OpenPage) -> None:
+    page = drawn(open_page(link(server, "?starter=empty-attitude")))
+    page.set_viewport_size({"width": 1280, "height": 560})
+    page.get_by_role("button", name="Fit View").click()
+    for terminal in ("i:theta_0", "o:M"):  # refused if anything covers it
+        page.locator(f'[data-id="{terminal}"]').click()
+
+
 def test_a_busy_computer_is_asked_again(server: Served, open_page: OpenPage) -> None:
     page = open_page(link(server).replace("diagram", "logs"), expects=("504",))
     slow = {"what": "the work took longer than 30 s", "where": "diagram", "remedy": "ask for less"}
@@ -186,7 +194,9 @@ def test_blocks_are_inserted_wired_flipped_and_aligned(server: Served, open_page
     sheet(page).focus()
     page.keyboard.press("i")
     expect(search).to_be_focused()
-    page.keyboard.type("gain")
+    search.fill("feed-forward")
+    expect(page.get_by_text("added with a Sum")).to_be_visible()
+    search.fill("gain")
     page.keyboard.press("Enter")
     said("^insert gain$")
     expect(page.get_by_label("wire from rate_limit to gain.u")).to_be_attached()

@@ -119,6 +119,8 @@ def test_an_excitation_is_built_and_previewed(lab_server: LabServer, open_page: 
     page.get_by_role("button", name="Build one").click()
     dialog = page.get_by_role("dialog")
     expect(dialog.get_by_text("of 50 deg")).to_be_visible()
+    ends = [dialog.get_by_role("slider", name=f"Cursor of {plot}") for plot in ("The signal", "Predicted pitch")]
+    assert len({plot.get_attribute("aria-valuemax") for plot in ends}) == 1, "one axis of time"
     small = dialog.get_by_text("of 50 deg").inner_text()
     dialog.get_by_label("Amplitude").fill("25")
     dialog.get_by_label("Period").fill("3")

@@ -211,8 +211,9 @@ def test_a_gain_is_moved_flown_and_kept(by: str, lab_server: LabServer, open_pag
     page.get_by_label("Model", exact=True).select_option("careful")
     expect(page.get_by_text(re.compile(r"Stable, disk margin at least \d+ deg"))).to_be_visible(timeout=LONG_MS)
     slider = page.get_by_role("slider", name="ATT_KP, slider")
-    page.get_by_role("button", name="Lock the cart").click()
+    page.get_by_role("button", name="Lock the cart").press("Enter")
     lab_server.until(rings_locked=True, warnings=[])
+    expect(page.get_by_role("button", name="Arm", exact=True)).to_be_focused()  # the button that was pressed is gone
     armed(page)
     fly_step(page, r"flown at \d+\.\d s")
     if by == "mouse":

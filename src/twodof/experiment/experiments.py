@@ -63,7 +63,9 @@ class Experiment:
             raise ExperimentError("a closed loop needs thrust", self.name, "give thrust, or fly it in open loop")
         if self.rings and self.mode in ("velocity", "position"):
             raise ExperimentError(
-                f"the {self.mode} loop moves the cart, and the rings lock it", self.name, "fly it with rings=False"
+                f"the {self.mode} loop moves the cart, and the rings lock it",
+                self.name,
+                "free the cart (rings=False, or Reset)",
             )
         for what in ("still", "hold", "rest"):
             if not 0.0 <= getattr(self, what) <= 600.0:

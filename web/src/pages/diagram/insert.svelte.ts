@@ -30,7 +30,6 @@ class Choices {
     editor.here.chart ? STATES : [...OWN, ...(editor.catalogue?.blocks ?? [])],
   );
 
-  /** Return the blocks with ports for the wire. */
   fitting({ from, to }: Loose): Choice[] {
     const shapes = new Map(editor.catalogue?.blocks.map((one) => [one.type, one.shape]));
     return this.all.filter(({ type }) => {

@@ -138,7 +138,6 @@ function placeless({ part, shape, fault, loop }: PartData) {
   return { ...part, position: null, presumed: null, shape, fault, loop };
 }
 
-/** Return whether two records have the same values. */
 function alike<T extends object>(one: T, other: T): boolean {
   return (Object.keys(other) as (keyof T)[]).every((key) => one[key] === other[key]);
 }
@@ -270,7 +269,6 @@ function hasPort(at: ReadonlyMap<string, SheetNode>, wire: WireEnds): boolean {
   return has(from, wire.sourceHandle) && has(to, wire.targetHandle);
 }
 
-/** Return the label of a transition: its turn, guard and action. */
 function wayText(d: Diagram, to: string): string {
   const way = d.chart?.ways[to.split(".")[1] ?? ""];
   if (way === undefined) return "";

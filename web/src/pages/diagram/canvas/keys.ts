@@ -52,7 +52,6 @@ function middle(node: SheetNode): [number, number] {
   return [node.position.x + (node.width ?? 0) / 2, node.position.y + (node.height ?? 0) / 2];
 }
 
-/** Return the nearest node in a direction. */
 function towards(nodes: readonly SheetNode[], from: SheetNode, direction: Direction): SheetNode | undefined {
   const [x, y] = middle(from);
   const sign = direction === "ArrowLeft" || direction === "ArrowUp" ? -1 : 1;

@@ -15,7 +15,6 @@ export function terminalWidth(name: string): number {
   return Math.min(190, Math.max(50, 10 * Math.ceil((name.length * 6.6 + 18) / 10)));
 }
 
-/** Return the places of parts; parts without one stand below the others. */
 export function partPlaces(d: Diagram, shapes: Shapes): Point[] {
   const placed = d.parts.map(placeOf);
   const bottom = Math.max(
@@ -46,14 +45,12 @@ export function staying(before: Diagram, after: Diagram, shapes: Shapes): Diagra
   return { ...moveThings(after, new Map(moved)), drawn: new Map(kept) };
 }
 
-/** Return the places of all nodes by id. */
 export function placesOn(d: Diagram, shapes: Shapes): Map<string, Point> {
   const places = partPlaces(d, shapes);
   const parts = d.parts.map((part, i) => [partId(part.name), places[i]!] as const);
   return new Map([...parts, ...terminalPlaces(d, shapes, places)]);
 }
 
-/** Return the boxes of all nodes by id. */
 export function boxesOn(d: Diagram, shapes: Shapes): Map<string, Box> {
   const sizes = new Map(d.parts.map((part) => [partId(part.name), partSize(part, shapes.of(part.item))]));
   const border = (id: string): Size => ({ width: terminalWidth(id.slice(2)), height: TERMINAL_HEIGHT });

@@ -40,13 +40,11 @@ const FIXED: Readonly<Record<string, string>> = {
   bias: "u + b",
 };
 
-/** Blocks that show one of their arguments. */
 const SHOWN: Readonly<Record<string, string>> = {
   ...{ gain: "k", constant: "value", trigonometry: "function", elementary: "function", rounding: "function" },
   ...{ logic: "operation", bitwise: "operation", compare: "operation" },
 };
 
-/** Return the text within a block. */
 export function symbol(part: Part): string {
   const { item } = part;
   const held = commented(part)?.held;
@@ -76,7 +74,6 @@ function superscript(text: string): string {
   return [...text].map((c) => "⁰¹²³⁴⁵⁶⁷⁸⁹"["0123456789".indexOf(c)] ?? c).join("");
 }
 
-/** Return the sign of an input of a sum or product, or "". */
 export function portSign({ item }: Part, index: number): string {
   if (item.is === "block" && item.type === STATE) return "›";
   if (item.is === "diagram" || (item.type !== "sum" && item.type !== "product")) return "";
@@ -116,7 +113,6 @@ function measured(part: Part, shape: Shape): Size {
   return { width, height };
 }
 
-/** Return the offset of a port on a side of this height. */
 export function portPlace(index: number, count: number, height: number): number {
   const first = GRID * Math.round((height - PITCH * (count - 1)) / 2 / GRID);
   return first + PITCH * index;

@@ -8,7 +8,6 @@ const SCHEMA = "twodof/parts";
 const STEP = 30;
 const MOST = 10_000;
 
-/** Return parts and the wires among them as text. */
 export function copyText(d: Diagram, names: ReadonlySet<string>): string {
   const inside = (end: string): boolean => names.has(end.split(".")[0] ?? "");
   const isInput = (source: string): boolean => d.inputs.some((one) => declaredName(one) === source);

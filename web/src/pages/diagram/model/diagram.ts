@@ -10,7 +10,6 @@ export type Point = readonly [x: number, y: number];
 export const CONDITIONS = ["enable", "reset", "trigger"] as const;
 export type Condition = (typeof CONDITIONS)[number];
 
-/** Block as it stands in the file. */
 export interface Block {
   readonly is: "block";
   readonly type: string;

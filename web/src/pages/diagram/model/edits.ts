@@ -287,7 +287,6 @@ export function declare(d: Diagram, section: Section, name: string, key: string,
   return d.chart ? { ...d, chart: { ...d.chart, [section]: changed(d.chart[section]) } } : d;
 }
 
-/** Return the declaration of an input or parameter like a port. */
 export function declared(name: string, port: Port): JsonObject {
   return {
     name,

@@ -22,6 +22,7 @@ const ALSO: ReadonlyMap<string, readonly string[]> = new Map(
   Object.entries({
     sum: ["add", "subtract"],
     saturation: ["saturate", "limiter"],
+    pid: ["antiwindup"],
     rate_limit: ["rate limiter", "slew rate"],
     quantiser: ["quantizer"],
     lookup: ["lookup table", "look up table", "1 d lookup table", "table lookup"],
@@ -75,6 +76,7 @@ const INSTEAD: readonly (readonly [words: readonly string[], instead: string])[]
     "A scope is not a block here: select a wire or a block and press S.",
   ],
   [["goto", "from", "goto tag"], "A wire needs no Goto: connect the source with each reader (C)."],
+  [["feedforward", "feed forward"], "A feed-forward is a Gain or a DiscreteDerivative, added with a Sum."],
   [["terminator"], "An output that nobody reads needs no Terminator."],
   [
     ["matlab function", "s function", "fcn", "interpreted matlab function"],

@@ -130,7 +130,6 @@ export function fromLibrary(block: Block): boolean {
   return !["custom", MACHINE, STATE].includes(block.type);
 }
 
-/** Return the type, size and unit of a port. */
 export function portText({ kind, width, unit }: Port): string {
   return `${kind}${width === null ? "" : ` × ${width}`}${unit && ` [${unit}]`}`;
 }

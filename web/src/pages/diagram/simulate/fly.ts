@@ -12,7 +12,6 @@ export interface Flight {
   readonly wanted: readonly string[];
 }
 
-/** Return the signals at each step; elements of arrays as "path[i]". */
 export function fly(program: Program, ticks: number, asked: Flight): Record<string, Float64Array> {
   const known = new Set(program.table.parameters.map((one) => one.path));
   program.reset(); // a parameter that is not tunable is set before the first step only

@@ -41,7 +41,6 @@ export function modesOf(template: string): readonly Mode[] {
   return MODES[template] ?? [ATTITUDE];
 }
 
-/** Return the mode called `name`, or the template's first. */
 export function modeOf(template: string, name: string): Mode {
   const modes = modesOf(template);
   return modes.find((one) => one.loop.name === name) ?? modes[0]!;

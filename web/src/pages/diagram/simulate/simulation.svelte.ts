@@ -13,7 +13,6 @@ import { LoopWorker, type Flown } from "./loop_worker";
 
 const WAIT_MS = 40;
 
-/** Return the diagram of the stock controller of a template. */
 export const stockText = (template: string) => api.starter(`stock-${template.replace("_control", "")}`);
 
 class Simulation {
