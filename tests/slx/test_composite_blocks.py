@@ -329,6 +329,17 @@ MATRICES = ROTATIONS.as_matrix() + 0.5 * np.eye(3)
         ("dspmtrx3/Create Diagonal Matrix", [DRAWN.T], DRAWN.T[:, :, None] * np.eye(3)),
         ("aerolibutil/Invert  3x3 Matrix", [MATRICES], np.linalg.inv(MATRICES)),
         ("sharedutil/Determinant of 3x3 Matrix", [MATRICES], np.linalg.det(MATRICES)),
+        ("Switch", [MATRICES, DRAWN[0], -MATRICES], np.where((DRAWN[0] >= 0)[:, None, None], MATRICES, -MATRICES)),
+        ("Switch", [MATRICES, MATRICES, DRAWN[0]], np.where(MATRICES >= 0.0, MATRICES, DRAWN[0][:, None, None])),
+        (
+            "MultiPortSwitch",
+            [np.clip(DRAWN[0], 1, 3), MATRICES, DRAWN[1], 2.0 * MATRICES],
+            np.choose(
+                np.clip(DRAWN[0], 1, 3).astype(int)[:, None, None] - 1,
+                [MATRICES, DRAWN[1][:, None, None] + 0.0 * MATRICES, 2.0 * MATRICES],
+            ),
+        ),
+        ("RelationalOperator", [MATRICES, DRAWN[0]], DRAWN[0][:, None, None] <= MATRICES),
     ],
 )
 def test_quaternions_and_matrices_of_toolboxes(

@@ -391,7 +391,10 @@ TAKES_SMALL = (
     *("MultiPortSwitch", "Product", "Relay", "Reshape", "Selector", "Sum", "SwitchCase", "UnaryMinus"),
 )
 """Types that take integers of 8 and 16 bits."""
-TAKES_MATRICES = ("BusAssignment", "BusCreator", "DiscreteIntegrator", "Integrator", *MATRIX_LINES, *DROPPED)
+_BY_ELEMENTS = ("DiscreteIntegrator", "Integrator", "DataTypeConversion", "MultiPortSwitch", "RelationalOperator",
+                "Rounding", "Signum", "Sqrt", "Switch", "Trigonometry")  # fmt: skip
+"""Types that take matrices element by element, and have no parameter of an element's own."""
+TAKES_MATRICES = ("BusAssignment", "BusCreator", *_BY_ELEMENTS, *MATRIX_LINES, *DROPPED)
 
 
 def carried_out(c: Asked, rule: Rule) -> Made:
@@ -406,24 +409,31 @@ def carried_out(c: Asked, rule: Rule) -> Made:
             raise NotTranslated(f"an input that is {one} is not translated")
     if kind in RULES and kind not in TAKES_BUSES and any(isinstance(one.kind, Bus) for one in c.inputs):
         return _of_vectors(c, rule)
-    if kind in ("DiscreteIntegrator", "Integrator") and c.inputs[0].shape is not None:
+    if kind in _BY_ELEMENTS and any(one.shape is not None for one in c.inputs):
         return _of_columns(c, rule)
     return matrix(c, MATRIX_LINES[kind]) if makes_matrix(c) else rule(c)
 
 
 def _of_columns(c: Asked, rule: Rule) -> Made:
-    """Return the block of a rule for one input, a matrix: its columns, one after another, are a vector there."""
-    one = c.inputs[0]
-    if one.shape is None or len(c.inputs) > 1:
-        raise NotTranslated("a matrix beside a second input is not translated")
-    d, size = Diagram("of_columns"), [one.shape[0] * one.shape[1]]
-    d.input("u", one.kind, shape=one.shape)
-    made = rule(replace(c, inputs=[replace(one, shape=None)]))
+    """Return the block of a rule for matrices of one size and scalars: the columns, one after another, are a vector."""
+    shape = next(one.shape for one in c.inputs if one.shape is not None)
+    if any(one.shape != shape and one.width is not None for one in c.inputs):
+        raise NotTranslated("a matrix beside another size is not translated")
+    d, size, sources = Diagram("of_columns"), [shape[0] * shape[1]], list[str]()
+    for k, one in enumerate(c.inputs, start=1):
+        sources.append(d.input(f"u{k}", one.kind, one.width if one.shape is None else None, shape=one.shape))
+        if one.shape is not None:
+            sources[-1] = d.add(f"vector{k}", Reshape(shape, size, one.number), u=f"u{k}")
+    made = rule(replace(c, inputs=[replace(one, shape=None) for one in c.inputs]))
     assert made.item is not None
-    vector = d.add("vector", Reshape(one.shape, size, one.number), u="u")
-    d.add("of", made.item, inputs={names_of(made.item)[0]: vector})
-    d.output("y", d.add("y", Reshape(size, one.shape, one.number), u=f"of.{names_of(made.item, outputs=True)[0]}"))
-    return Made(d, [one])
+    ports = list(made.item.inputs.values()) if isinstance(made.item, Diagram) else made.item.inputs
+    for k, (port, one) in enumerate(zip(ports, c.inputs, strict=True)):
+        sources[k] = expanded(d, sources[k], one, port.width) if one.width is None else sources[k]
+    d.add("of", made.item, inputs=dict(zip(names_of(made.item), sources, strict=True)))
+    result = replace(made.outputs[0], shape=shape)
+    back = Reshape(size, shape, result.number)
+    d.output("y", d.add("y", back, u=f"of.{names_of(made.item, outputs=True)[0]}"))
+    return Made(d, [result])
 
 
 def _of_vectors(c: Asked, rule: Rule) -> Made:

@@ -166,7 +166,7 @@ def _chosen(d: Diagram, choice: FirstTrue | CaseChoice, inputs: Mapping[str, str
 def _merge(c: Asked) -> Made:
     """Return a Merge, whose inputs that say which part acts the importer connects."""
     if any(not one.like(c.inputs[0]) for one in c.inputs) or c.text("AllowUnequalInputPortWidths", "off") == "on":
-        raise NotTranslated("its inputs have other types")
+        raise NotTranslated(f"its inputs have other types: {', '.join(map(str, c.inputs))}")
     one = c.inputs[0]
     c.notes.append("where two inputs act in the same step the first one counts, in Simulink the last one carried out")
     start = c.value("InitialOutput", "[]")
