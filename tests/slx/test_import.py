@@ -472,6 +472,9 @@ def test_links_stand_for_blocks_of_libraries_that_link_on_and_for_subsystems_of_
     given = {"k_1": np.array([[3.0]])}
     found = flown(import_system(whole, workspace=given, folders=[tmp_path], dt=DT), {"u": DRAWN[0]})
     assert np.array_equal(found["y"], 3.0 * (0.5 * DRAWN[0]))
+    for path, file in (("three/part", "threefold"), ("linked", "linking/again")):
+        with pytest.raises(DiagramError, match=f"{path.split('/')[0]} is a link to {file}"):
+            whole.system(path)
     missing = import_system(whole, workspace=given, dt=DT).refused
     assert {line.path: line.why for line in missing} == {
         name: f"the library {file} is not found: name its folder with --path"

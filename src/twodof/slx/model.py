@@ -180,6 +180,11 @@ class Model:
         wanted = collapsed(path).strip("/")
         found = dict(self.root.walk())
         if wanted not in found:
+            for at, block in self.blocks():
+                source = block.values.get("ReferencedSubsystem") or collapsed(block.values.get("SourceBlock", ""))
+                if source and f"{wanted}/".startswith(f"{at}/"):
+                    what = f"has no subsystem {path}: {at} is a link to {source}"
+                    raise DiagramError(what, self.name, "give that file, and the subsystem's path in it")
             known = ", ".join(list(found)[1:9]) or "none"
             raise DiagramError(f"has no subsystem {path}", self.name, f"its first ones are: {known}")
         return found[wanted]
