@@ -86,6 +86,14 @@ def test_a_mixture_of_the_outputs_tells_a_predictor_the_same() -> None:
             assert mixed.cramer_rao(name) == pytest.approx(apart.cramer_rao(name), rel=0.02), name
 
 
+def test_an_unstable_predictor_gives_way_to_a_stable_one() -> None:
+    """The first search of this record ends in one whose errors grow; an autoregression is ten claims off."""
+    one = pitch_under(0.2, 32)
+    assert one.disturbance.kind == "innovation"
+    for name, truth in PITCH.items():
+        assert abs(one[name] - truth) < 3.3 * one.sigma(name)
+
+
 def test_coloured_noise_of_a_sensor_is_no_process_noise() -> None:
     for name in ("coloured noise", "output walks", "actuator saturates", "mains hum"):
         assert CASES[name].make().disturbance.kind != "innovation", name

@@ -27,6 +27,7 @@ from twodof.identify.disturbance.walk import (
     first_gains,
     gains_of,
     is_unstable,
+    reflected_gains,
     with_measured,
     without_gains,
 )
@@ -269,7 +270,15 @@ def _predicted(
         own.x0[:wanted] = start
         try:
             best = _solve(own, {}, together=True)
-        except IdentificationError:
+            if stable := reflected_gains(own, best.x):
+                # The errors of an unstable predictor grow, and fit the chance of one record.
+                held = [slot.unknown.name in stable for slot in own.slots]
+                own.x0[:], own.lower[held] = best.x, list(stable.values())
+                own.upper[held] = own.lower[held]
+                own.x0[:] = _solve(own, {}, together=True).x
+                own.lower[held], own.upper[held] = -math.inf, math.inf
+                best = _solve(own, {}, together=True)
+        except (IdentificationError, np.linalg.LinAlgError, ValueError):
             continue
         whiten = ErrorsTogether(own, own.residual(best.x))
         sizes = np.array([block.rows.stop - block.rows.start for block in own.blocks])

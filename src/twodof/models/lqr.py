@@ -4,11 +4,14 @@ from dataclasses import dataclass
 from math import radians
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twodof.errors import ParameterError
 from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
 from twodof.signals import PERIOD
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,3 +84,16 @@ def _unstable(why: str) -> ParameterError:
         "lqr",
         "choose an output whose integral the input can move",
     )
+
+
+def kalman_gain(a: Array, c: Array, push: Array, noise: Array, cross: Array | None = None) -> Array:
+    """Return the gain with which a stable steady-state predictor corrects the states by its errors.
+
+    `push` is the covariance of what moves the states x' = a x, `noise` that of the outputs c x, `cross` that between
+    the two. Raises LinAlgError where there is no such gain.
+    """
+    from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
+
+    both = np.zeros((len(a), len(c))) if cross is None else cross
+    spread = solve_discrete_are(a.T, c.T, push, noise, s=both)
+    return np.asarray((a @ spread @ c.T + both) @ np.linalg.inv(c @ spread @ c.T + noise))

@@ -19,6 +19,7 @@ from twodof.identify.disturbance.gust import PushModel
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples
 from twodof.identify.record_simulator import RecordSimulator
+from twodof.models.lqr import kalman_gain
 from twodof.models.structure import Structure
 
 Array = NDArray[np.float64]
@@ -144,8 +145,6 @@ def is_unstable(structure: Structure, values: dict[str, float], dt: float) -> bo
 
 def first_gains(structure: Structure, record: Record, values: dict[str, float]) -> list[dict[str, float]]:
     """Return steady-state Kalman gains for pushes of several sizes at the inputs, as far as there are such gains."""
-    from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
-
     model, found = _linear(structure, values, record.dt), list[dict[str, float]]()
     if model is None:
         return found
@@ -155,13 +154,30 @@ def first_gains(structure: Structure, record: Record, values: dict[str, float]) 
         push = ratio * (model.b * moves**2) @ model.b.T
         push += 1e-9 * np.trace(push) * np.eye(push.shape[0])
         try:
-            spread = solve_discrete_are(model.a.T, model.c.T, push, noise)
+            gain = kalman_gain(model.a, model.c, push, noise)
         except (np.linalg.LinAlgError, ValueError):
             continue
-        gain = model.a @ spread @ model.c.T @ np.linalg.inv(model.c @ spread @ model.c.T + noise)
         if np.isfinite(gain).all():
-            found.append({f"K_{i + 1}_{j + 1}": float(gain[i, j]) for i, j in np.ndindex(gain.shape)})
+            found.append(_named(gain))
     return found
+
+
+def _named(gain: Array) -> dict[str, float]:
+    return {f"K_{i + 1}_{j + 1}": float(gain[i, j]) for i, j in np.ndindex(gain.shape)}
+
+
+def reflected_gains(problem: Problem, x: Array) -> dict[str, float]:
+    """Return the gains of a stable predictor that expects the same spectrum as the unstable one at x; {} if stable.
+
+    Each pole outside the unit circle moves to its reciprocal (Anderson and Moore, Optimal filtering, chapter 9).
+    """
+    model = _linear(problem.structure, problem.values(x, 0), problem.records[0].dt)
+    if model is None or np.abs(model.poles()).max() <= 1.0:
+        return {}
+    own, residual = problem.blocks[: len(problem.outputs)], problem.residual(x)
+    errors = np.array([residual[one.rows] * problem.sigma[i] for i, one in enumerate(own)])
+    spread, k = errors @ errors.T / errors.shape[1], model.b[:, -len(own) :]
+    return _named(kalman_gain(model.a + k @ model.c, model.c, k @ spread @ k.T, spread, k @ spread))
 
 
 def without_gains(jacobian: Array, wanted: int) -> Array:
