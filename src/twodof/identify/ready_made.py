@@ -21,9 +21,9 @@ from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.identify.validate import deviations
 from twodof.models.structure import Structure
-from twodof.models.structures import free_response, pitch_on_cart, pitch_rate, rail, velocity
+from twodof.models.structures import RAIL_WALK, free_response, pitch_on_cart, pitch_rate, rail, velocity
 from twodof.rig.parameters import NAMES, load_rig
-from twodof.rig.rig import cart_parameters, model_parameters, moment_gain, stiffness
+from twodof.rig.rig import cart_parameters, gyro_walk, model_parameters, moment_gain, stiffness
 
 POLES_PRIOR: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.065, 0.04)})
 """Priors from the real drone's logs of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
@@ -67,12 +67,13 @@ class FlownMachine:
     """The rig whose calibration holds for a flight, and whether its cart was `free` to slide.
 
     `supply` is the thrust over that at which k_v is stated, and its standard deviation, if the log tells it. It is of
-    the flight, and not of the machine.
+    the flight, and not of the machine. A `virtual` rig has nothing that its parameters do not say.
     """
 
     rig: str = _REAL
     free: bool = False
     supply: tuple[float, float] | None = field(default=None, compare=False)
+    virtual: bool = field(default=False, compare=False)
 
     @property
     def text(self) -> str:
@@ -85,7 +86,8 @@ class FlownMachine:
 
     def prior(self, structure: Structure) -> dict[str, tuple[float, float]]:
         """Return mean and standard deviation of the unknowns with a prior; they are estimated too."""
-        return priors_of(None if self.rig == _REAL else load_rig(self.rig).snapshot(), structure)
+        known = priors_of(None if self.rig == _REAL else load_rig(self.rig).snapshot(), structure)
+        return {name: one for name, one in known.items() if name not in BEND_PRIOR or not self.virtual}
 
     def estimate(self, structure: Structure) -> tuple[str, ...]:
         """Return the unknowns to estimate in closed loop.
@@ -97,20 +99,35 @@ class FlownMachine:
         more = ("bend", *(("M_u",) if self.free else ()), *(("wake",) if fades else ()))
         named = (*structure.estimate, *(name for name in more if name in structure.unknowns))
         known = self.prior(structure)
-        return tuple(name for name in named if name in known or name not in ("bend", "coulomb"))
+        held = ("bend", "coulomb", *self.values(structure))
+        return tuple(name for name in named if name in known or name not in held)
 
 
 def known_cart(rig: Mapping[str, float], structure: Structure, free: bool) -> dict[str, float]:
-    """Return the structure's unknowns that a rig's parameters give: the cart, its play within the rings, the spring."""
+    """Return the structure's unknowns that a rig's parameters give: the cart, its play within the rings, the spring.
+
+    Rotors without a lag have the least one that the structure can have.
+    """
     springy = rig["spring"] / stiffness(rig, running=0.0)
     known = {**cart_parameters(rig), "play": FREE if free else rig["ring_play"], "springy": springy}
-    return {name: value for name, value in known.items() if name in structure.unknowns}
+    known |= {} if rig["lag"] > 0.0 else {"lag": 0.0}
+    own = structure.unknowns
+    return {name: max(value, own[name].lower) for name, value in known.items() if name in own}
+
+
+@functools.lru_cache(maxsize=64)
+def _on_rail(structure: Structure, rig: str) -> Structure:
+    """Return the structure with the pushes that a rig has: white noise of its gyro, and uneven dry friction if any."""
+    own, (_, doubt) = load_rig(rig).snapshot(), RAIL_WALK["theta_0"]
+    uneven = {name: one for name, one in RAIL_WALK.items() if name == "v_0" and own["rail_coulomb"] > 0.0}
+    return replace(structure, pushed={"theta_0": (gyro_walk(own), doubt), **uneven})
 
 
 def known_rail(rig: Mapping[str, float]) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Return what a rig's parameters give of a motion along the rail: values of `rail`, and priors."""
     lever, dry = cart_parameters(rig)["lever"], rig["rail_coulomb"] > 0.0
     known = {"curve": rig["curve"], "rotor_delay": rig["delay"] + rig["lag"], "lever": lever}
+    known |= {} if rig["tof_age"] > 0.0 else {"tau": 0.0}
     return known, {name: one for name, one in RAIL_PRIOR.items() if dry or name != "coulomb"}
 
 
@@ -135,8 +152,9 @@ def machine_of(log: FlightLog, start: float, stop: float) -> FlownMachine:
     """
     seen = log["dist"].slice(start, stop).value if "dist" in log else np.zeros(0)
     moved = seen.size > 0 and float(np.ptp(seen)) > _MOVED_M
-    rig, _ = _rig_in(log)
-    return FlownMachine(rig or _REAL, moved, supply_of(log, start, stop) if moved else None)
+    rig, virtual = _rig_in(log)
+    supply = supply_of(log, start, stop) if moved else None
+    return FlownMachine(rig or _REAL, moved, supply, virtual or "seed" in log.provenance)
 
 
 def _rig_in(log: FlightLog) -> tuple[str | None, bool]:
@@ -422,7 +440,10 @@ def by_output_error(
         given = {**held, **machine.values(structure), **given}
     elif experiment == "doublet":
         # Slow noise passes for a swing of the pendulum.
-        asked = set(POLES_PRIOR) & set(wanted or structure.estimate) - set(given)
+        least = {n: value for n, value in machine.values(structure).items() if n == "lag" and n not in (estimate or ())}
+        wanted = tuple(name for name in wanted or structure.estimate if name not in least)
+        given = {**least, **given}
+        asked = set(POLES_PRIOR) & set(wanted) - set(given)
         before = {name: one for name, one in machine.prior(structure).items() if name in asked}
     elif experiment == "velocity":
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
@@ -433,8 +454,10 @@ def by_output_error(
             calibrated, before = known_rail(load_rig(machine.rig).snapshot())
             given = {**{name: value for name, value in calibrated.items() if name in structure.unknowns}, **given}
             supplied = tuple({"supply"} & set(structure.unknowns)) if all(one.supply for one in machines) else ()
-            wanted = wanted or (*TRAVEL, *before, *supplied)
+            wanted = wanted or (*(name for name in TRAVEL if name not in calibrated), *before, *supplied)
             before = {name: one for name, one in before.items() if name in wanted and name not in given}
+            if machine.rig != _REAL:
+                structure = _on_rail(structure, machine.rig)
             # Even a short flight, whose residual does not show it, has the gyro's walk in its pitch.
             disturbance = "walk" if disturbance == "auto" else disturbance
     if prior:  # what it speaks of is estimated

@@ -8,7 +8,7 @@ from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.rig.dynamics import Dynamics, Turbulence
 from twodof.rig.rotors import BatteryPack, Rotors, lift
 from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
-from twodof.signals import GRAVITY, HOVER, Q_AGE
+from twodof.signals import GRAVITY, HOVER, PERIOD, Q_AGE
 
 BASE_DT = 0.001
 """The base tick [s]."""
@@ -169,6 +169,11 @@ def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
         "rail_coulomb": rig["rail_coulomb"] / mass,
         "hardening": rig["hardening"] / inertia,
     }
+
+
+def gyro_walk(rig: Mapping[str, float]) -> float:
+    """Return the density [rad/sqrt(s)] at which the integrated gyro walks: its vibration has nothing at 0 Hz."""
+    return sqrt(PERIOD * (rig["gyro_idle"] ** 2 + rig["gyro_step"] ** 2 / 12.0))
 
 
 def cart_parameters(rig: Mapping[str, float]) -> dict[str, float]:

@@ -110,6 +110,11 @@ def _range_before(values: Array, window: int) -> Array:
     return np.asarray(seen.max(axis=1) - seen.min(axis=1))
 
 
+_LINES = 16
+"""Samples of memory of what is louder after a move: two periods of the rotors' vibration. Its colour is its own, as a
+line of the rotors that moves with M is narrow. Taken for white noise of its size, steps on the rig `lab` claimed 1.7
+times what mu and tau spread by."""
+
 SWING = ("w_n", "xi")
 _REMEMBERED_S = 4.0
 """Time over which the inverse of a swing integrates [s]: longer than the swing lasts."""
@@ -126,7 +131,8 @@ def swings(problem: Problem) -> bool:
 class NoiseRows:
     """The rows of the blocks of one noise. `pieces` (of them) have no gap inside.
 
-    `deviation` (size,) is the standard deviation of the prediction errors over their root mean square.
+    `deviation` (size,) is the standard deviation of the prediction errors over their root mean square. Where an input
+    has moved, they follow from earlier ones by `_colour` (lags,) times the `_share` (size,) of what is louder there.
     """
 
     def __init__(self, problem: Problem, blocks: Sequence[int]) -> None:
@@ -143,7 +149,8 @@ class NoiseRows:
             start += position.size
         self.pieces = tuple(found)
         self.loud: NoiseIncrease | None = None
-        self.deviation = np.ones(self.size)
+        self.deviation, self._share = np.ones(self.size), np.zeros(self.size)
+        self._colour: Array = np.zeros(0)
 
     def pushes(self, rows: Array, x: Array) -> Array:
         """Return `rows` (samples, ...) behind the inverse of the swing at x; each piece begins at rest."""
@@ -158,13 +165,44 @@ class NoiseRows:
         return np.concatenate([lfilter(*inverse, rows[piece], axis=0) for piece in self.pieces])
 
     def listen(self, error: Array) -> None:
-        """Find how loud the noise is where an input has moved, from its white `error`."""
-        self.loud, self.deviation = noise_increase(error, self._moves), np.ones(self.size)
+        """Find how loud the noise is where an input has moved, and its colour there, from its white `error`."""
+        self._colour, variance = np.zeros(0), self._rate(error)
+        if self.loud is None:
+            return
+        self._share = 1.0 - 1.0 / variance
+        target = error / self.deviation
+        earlier = self.earlier(error, _LINES) * (self._share / self.deviation)[:, None]
+        found = [np.linalg.lstsq(earlier[:, :lags], target, rcond=None)[0] for lags in range(_LINES + 1)]
+        left = [float(np.sum((target - earlier[:, : one.size] @ one) ** 2)) for one in found]
+        best = int(np.argmin(self.size * np.log(left) + 2.0 * np.arange(_LINES + 1)))
+        self._colour = np.asarray(-found[best], dtype=np.float64)
+        self._rate(self._second(error))
+
+    def even(self, rows: Array) -> Array:
+        """Return prediction errors or sensitivities (samples, ...) less what is louder after a move."""
+        return rows if self.loud is None else (self._second(rows).T / self.deviation).T
+
+    def _rate(self, error: Array) -> Array:
+        """Find how loud the noise is; return its variance over that at rest."""
+        self.loud, variance = noise_increase(error, self._moves), np.ones(self.size)
         if self.loud is not None:
             place = self.loud.input, self.loud.window
-            moved = next(size for name, window, size in self._moves if (name, window) == place)
-            variance = self.loud.variance(moved)
-            self.deviation = np.sqrt(variance * float(np.mean(error**2 / variance) / np.mean(error**2)))
+            variance = self.loud.variance(next(size for name, window, size in self._moves if (name, window) == place))
+        level = float(np.mean(error**2 / variance)) / max(float(np.mean(error**2)), 1e-300)
+        self.deviation = np.asarray(np.sqrt(variance * level))
+        return variance
+
+    def _second(self, rows: Array) -> Array:
+        return rows + (self._share * (self.earlier(rows, self._colour.size) @ self._colour).T).T
+
+    def earlier(self, rows: Array, lags: int) -> Array:
+        """Return the `lags` rows before each one, latest first, shape (samples, ..., lags); 0 where a piece begins."""
+        found = np.zeros((*rows.shape, lags))
+        for piece in self.pieces:
+            if 0 < lags < piece.stop - piece.start:
+                windows = np.lib.stride_tricks.sliding_window_view(rows[piece][:-1], lags, axis=0)
+                found[piece.start + lags : piece.stop] = windows[..., ::-1]
+        return found
 
     @cached_property
     def _moves(self) -> tuple[tuple[str, int, Array], ...]:
@@ -296,7 +334,7 @@ class ColouredProblem:
         white = pushes.copy()
         for model, noise in zip(models, self._noises, strict=True):
             own = model.whiten(pushes[noise.rows], noise.pieces)
-            white[noise.rows] = own if noise.loud is None else (own.T / noise.deviation).T
+            white[noise.rows] = noise.even(own)
         return white
 
     def listen(self, x: Array) -> bool:
@@ -340,16 +378,8 @@ class ColouredProblem:
         for model, noise in zip(models, self._noises, strict=True):
             if self._given or not model.order:
                 continue
-            own = pushes[noise.rows]
             # Prediction errors change with coefficient k as the residual k samples earlier.
-            earlier = np.zeros((own.size, model.order))
-            for piece in noise.pieces:
-                part = own[piece]
-                if part.size > model.order:
-                    windows = np.lib.stride_tricks.sliding_window_view(part[:-1], model.order)
-                    earlier[piece.start + model.order : piece.stop] = windows[:, ::-1]
-            if noise.loud is not None:
-                earlier /= noise.deviation[:, None]
+            earlier = noise.even(noise.earlier(pushes[noise.rows], model.order))
             share = np.linalg.lstsq(earlier.T @ earlier, earlier.T @ white[noise.rows], rcond=1e-12)[0]
             white[noise.rows] -= earlier @ share
         return white

@@ -93,7 +93,8 @@ class DisturbanceModel:
                 f"{label}: standard deviation {one.std:.2g}, correlation time {one.correlation_time:.2g} s"
                 for label, one in self.gusts.items()
             )
-            return f"pushes at {next(iter(self.gusts.values())).input}, seen in {pushes}"
+            none = "" if any(one.std > _NO_PUSH for one in self.gusts.values()) else "no "
+            return f"{none}pushes at {next(iter(self.gusts.values())).input}, seen in {pushes}"
         orders = ", ".join(f"{label} of order {model.order}" for label, model in self.noise.items())
         louder = "".join(
             f"; {label} up to {one.times:.1f} times as strong in the {1e3 * one.window * self.dt:.0f} ms after "
@@ -118,6 +119,7 @@ class DisturbanceModel:
         }
 
 
+_NO_PUSH = 1e-9
 _LAGS = 9
 _CHANCE = 1e-6
 _LEAST = 100
