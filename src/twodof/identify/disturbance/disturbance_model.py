@@ -93,8 +93,10 @@ class DisturbanceModel:
                 f"{label}: standard deviation {one.std:.2g}, correlation time {one.correlation_time:.2g} s"
                 for label, one in self.gusts.items()
             )
-            none = "" if any(one.std > _NO_PUSH for one in self.gusts.values()) else "no "
-            return f"{none}pushes at {next(iter(self.gusts.values())).input}, seen in {pushes}"
+            pushed = next(iter(self.gusts.values())).input
+            if all(one.std < _NO_PUSH for one in self.gusts.values()):
+                return f"white noise and a band of vibration at the outputs, no pushes at {pushed}"
+            return f"pushes at {pushed}, seen in {pushes}"
         orders = ", ".join(f"{label} of order {model.order}" for label, model in self.noise.items())
         louder = "".join(
             f"; {label} up to {one.times:.1f} times as strong in the {1e3 * one.window * self.dt:.0f} ms after "
