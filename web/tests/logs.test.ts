@@ -144,8 +144,8 @@ describe("words about logs", () => {
       "18.5 s",
       "2 min 05 s",
     ]);
-    const told = { drone: 6, rig: "lab", virtual: true, controller: "stock" };
-    expect(flown(told as never)).toBe("drone 6, rig lab (virtual), stock controllers");
+    const told = { drone: 6, rig: "lab", virtual: true, controller: "stock", tuned: [["ATT_KP", 5]] };
+    expect(flown(told as never)).toBe("drone 6, rig lab (virtual), stock controllers, ATT_KP 5");
   });
   it("draws a spark with holes where nothing was logged, and a flat one in the middle", () => {
     expect(sparkPath([0, 1, null, 0], [1, 1, null, 0], 40, 10)).toBe(
