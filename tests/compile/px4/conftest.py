@@ -8,10 +8,10 @@ import pytest
 
 from tests.compile.px4.build import Bench
 from tests.compile.px4.flown import mode
-from tests.compile.px4.modules import PITCH_LOG, both, motors, overflowing, pitch, rail
+from tests.compile.px4.modules import PITCH_LOG, attitude_alone, both, motors, overflowing, pitch, rail
 from twodof.compile.px4.export import make_module
 
-OTHERS = {"overflow": overflowing, "rail": rail, "both": both, "mixer": motors}
+OTHERS = {"overflow": overflowing, "rail": rail, "both": both, "mixer": motors, "alone": attitude_alone}
 
 
 @pytest.fixture(scope="session")

@@ -86,6 +86,16 @@ def rail() -> Diagram:
     return d
 
 
+def attitude_alone() -> Diagram:
+    """M = theta_0 - theta, without an input that says whether attitude is controlled."""
+    d = Diagram("alone")
+    d.input("theta_0", unit="rad")
+    d.input("theta", unit="rad")
+    d.add("error", lib.Sum("+-"), a="theta_0", b="theta")
+    d.output("M", "error")
+    return d
+
+
 def overflowing() -> Diagram:
     """M grows by 1e12 at each step, and so is infinite at the fourth."""
     d = Diagram("overflow")

@@ -45,6 +45,31 @@ def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts
     assert (np.abs(torque["xyz"][:, 1]) <= SQRT2).all()
 
 
+def test_a_controller_without_a_reset_starts_afresh_each_time_that_it_may_command(
+    benches: Callable[[str], Bench],
+) -> None:
+    """This one grows by 1e12 at each step: it would be infinite on the ground."""
+    bench = benches("overflow")
+    bench.command("start")
+    for armed, steps in ((False, 10), (True, 3), (False, 5), (True, 2)):
+        mode(bench, armed)
+        fly(bench, steps)
+    rows = bench.run().topic("twodof_overflow")
+    assert list(rows["tick"]) == [0] * 10 + [0, 1, 2] + [3, 0, 0, 0, 0] + [0, 1]
+    assert not (rows["faults"][:13] & NOT_FINITE).any()
+
+
+def test_a_controller_of_attitude_alone_commands_nothing_in_acro(benches: Callable[[str], Bench]) -> None:
+    """There PX4 has no attitude set-point, so it would hold a pitch that nobody asked for."""
+    bench = benches("alone")
+    bench.command("start")
+    for attitude in (True, False, True):
+        mode(bench, attitude=attitude)
+        fly(bench, 4)
+    rows = bench.run().topic("twodof_alone")
+    assert list(rows["active"]) == [True] * 4 + [False] * 4 + [True] * 4
+
+
 def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(
     benches: Callable[[str], Bench],
 ) -> None:

@@ -84,8 +84,15 @@ class ModuleRole:
 
     @property
     def commanding(self) -> Mapping[str, Any]:
-        """Properties of all modules with the same `commands`: see `topics.toml`."""
+        """Properties of all modules with the same `commands`: see `topics.toml`.
+
+        One that follows a pitch, but has no input that says when, commands where attitude is controlled.
+        """
         common: Mapping[str, Any] = _TABLES["commands"][self.commands]
+        if self.commands == "torque" and "theta_0" in self.inputs and "FLAG_ATTITUDE_ENABLED" not in self.inputs:
+            both = "flag_control_rates_enabled\n           && mode.flag_control_attitude_enabled"
+            alone = "while PX4's mode controls attitude (`flag_control_attitude_enabled`), not in Acro"
+            return {**common, "when": alone, "wanted": common["wanted"].replace("flag_control_rates_enabled", both)}
         return common
 
     @property
@@ -142,6 +149,8 @@ def role(program: FlatProgram) -> ModuleRole:
 
 # mavlink and mc_att_control publish this topic too, and its publication that has just gone has cleared their flag.
 _AGAIN = "\n    orb_advertise(ORB_ID(vehicle_attitude_setpoint), nullptr);"
+# A controller without an input that resets its integrals would wind up on the ground.
+_AFRESH = "\n        _waiting = !wanted(_armed, _mode);"
 
 
 def work_item_header(names: ModuleNames, role: ModuleRole) -> str:
@@ -173,6 +182,7 @@ def work_item(names: ModuleNames, role: ModuleRole, found: MessageFields) -> str
         # So that another module sees at its start that this one commands.
         advertised=" && ".join(f"_{topic}_pub.advertise()" for topic in role.writes),
         again=_AGAIN if role.commands == "attitude" else "",
+        afresh="" if {"FLAG_RESET_INT", "FLAG_RESET_INT_VEL"} & set(role.inputs) else _AFRESH,
         torque_scale=f"\n    _torque_scale = values[{n}_TORQUE].real;" if role.commands == "torque" else "",
         message=_message(found),
         rivals="\n".join(rivals),

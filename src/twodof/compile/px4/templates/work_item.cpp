@@ -124,7 +124,7 @@ void ${class_name}::Run()
 
         _tick = ${module}_ticks(&_controller);
         ${module}_tick(&_controller, &_in, &_out);
-        _steps++;
+        _steps++;${afresh}
 
         if (!commands_are_finite()) {
             _faults |= NOT_FINITE;
