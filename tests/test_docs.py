@@ -158,7 +158,7 @@ def test_readme_code_prints_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
 
 @pytest.mark.long
 def test_readme_shell_block_can_be_pasted(tmp_path: Path) -> None:
-    """In an empty folder; its model is that of the example in Python, the same flight but for the prior of poles."""
+    """In an empty folder; the page says the mu that the fit with what is known of the rig gives there."""
     page = (PROJECT / "README.md").read_text()
     (block,) = (text for text in re.findall(r"```sh\n(.*?)```", page, flags=re.DOTALL) if "twodof fly" in text)
     pasted = block.replace(". .venv/bin/activate\n", "set -e\n")
