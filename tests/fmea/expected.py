@@ -30,7 +30,8 @@ CHANCE = "Samples that are believed by chance draw the cart to the end, in one f
 TOGETHER = "The whole IMU stands still; the range alone moves on, which is seen too late in one flight of a hundred."
 DEAF = "The motor does not obey, so no software stops it."
 NO_STEP = (
-    "Where no step runs nothing acts; the flight controller counts the ticks left out and stops the motors, outside."
+    "Where no step runs nothing acts; the flight controller counts the ticks left out and stops the motors within "
+    ".1 s, outside."
 )
 
 EXPECTED: Mapping[str, Expected] = {

@@ -367,7 +367,7 @@ class _Import(Wiring):
                     return self.otherwise
                 if not found and self.given_dt is None:
                     what = f"no block and no fixed step ({step}) says the period"
-                    raise DiagramError(what, self.model.name, "give it with --dt SECONDS") from None
+                    raise DiagramError(what, self.model.name, "give --dt SECONDS, or --workspace FILE") from None
         try:
             return base_period({time: where for time, where in found.items() if time > 0.0}, self.given_dt)
         except NotTranslated as reason:
