@@ -254,8 +254,9 @@ class _Plan:
         if self.kind == "velocity":
             wanted = TRAVEL
         elif self.kind == "attitude":
-            # A controller hides the poles, the friction and the bend of large moments: they have priors.
-            wanted, of_noise["prior"] = FlownMachine(free=self.free).estimate(structure), self.before
+            # A controller hides the poles and the friction: they have priors. A virtual rig has no bend.
+            wanted = FlownMachine(free=self.free, virtual=True).estimate(structure)
+            of_noise["prior"] = {name: one for name, one in self.before.items() if name in wanted}
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:

@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from twodof.blocks import Diagram
 from twodof.errors import DiagramError
@@ -152,6 +151,8 @@ def _kalman(c: Asked) -> Made:
 
 def _steady_kalman(c: Asked) -> Made:
     """Return a Kalman filter with the gains of its steady state; without an enable no measurement counts."""
+    from scipy.linalg import solve_discrete_are  # imported late: the server starts without it
+
     a, measured = c.value("A", "1"), c.value("C", "1")
 
     def covariance(name: str, size: int) -> Any:
