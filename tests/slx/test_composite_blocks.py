@@ -339,6 +339,7 @@ MATRICES = ROTATIONS.as_matrix() + 0.5 * np.eye(3)
                 [MATRICES, DRAWN[1][:, None, None] + 0.0 * MATRICES, 2.0 * MATRICES],
             ),
         ),
+        ("DataTypeConversion", [MATRICES], MATRICES),
         ("RelationalOperator", [MATRICES, DRAWN[0]], DRAWN[0][:, None, None] <= MATRICES),
     ],
 )

@@ -425,7 +425,10 @@ def _of_columns(c: Asked, rule: Rule) -> Made:
         if one.shape is not None:
             sources[-1] = d.add(f"vector{k}", Reshape(shape, size, one.number), u=f"u{k}")
     made = rule(replace(c, inputs=[replace(one, shape=None) for one in c.inputs]))
-    assert made.item is not None
+    if made.item is None:
+        return Made(None, [replace(one, shape=shape) for one in made.outputs])
+    if len(made.outputs) > 1:
+        raise NotTranslated("a second output of a matrix is not translated")
     ports = list(made.item.inputs.values()) if isinstance(made.item, Diagram) else made.item.inputs
     for k, (port, one) in enumerate(zip(ports, c.inputs, strict=True)):
         sources[k] = expanded(d, sources[k], one, port.width) if one.width is None else sources[k]
