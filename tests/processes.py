@@ -19,6 +19,17 @@ def alive(process: int) -> bool:
         return False
 
 
+def children(parent: int) -> dict[int, list[str]]:
+    """Return process id -> words of the command line of the children of all threads of a process."""
+    found = {}
+    for task in Path(f"/proc/{parent}/task").iterdir():
+        with suppress(OSError):  # the thread has ended meanwhile
+            for number in (task / "children").read_text().split():
+                with suppress(OSError):  # the child has ended meanwhile
+                    found[int(number)] = Path(f"/proc/{number}/cmdline").read_bytes().decode().split("\0")[:-1]
+    return found
+
+
 @contextmanager
 def started(command: list[str], **options: Any) -> Iterator[subprocess.Popen[Any]]:
     """Runs a program as Popen does; an error in the block ends it, so that nobody waits for it."""
@@ -32,11 +43,9 @@ def started(command: list[str], **options: Any) -> Iterator[subprocess.Popen[Any
 def child(parent: int, program: str) -> int:
     """The process among the children of `parent` that runs one of our programs: "lab", "fcu", "companion"."""
     for _ in patiently():
-        for number in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
-            with suppress(OSError):
-                words = Path(f"/proc/{number}/cmdline").read_bytes().decode().split("\0")
-                if program in words[:4]:
-                    return int(number)
+        for number, words in children(parent).items():
+            if program in words[:4]:
+                return number
     raise AssertionError(f"no {program} runs")
 
 

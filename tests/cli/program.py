@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.patience import PATIENCE_S
+from tests.processes import children
 
 
 class Program:
@@ -53,8 +54,7 @@ class Program:
 
     def children(self) -> dict[int, str]:
         """Return process id -> command line of the child processes."""
-        ids = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
-        return {int(one): Path(f"/proc/{one}/cmdline").read_text().replace("\0", " ") for one in ids}
+        return {one: " ".join([*words, ""]) for one, words in children(self.process.pid).items()}
 
     def interrupted(self) -> int:
         """Send Ctrl-C and return the exit status."""

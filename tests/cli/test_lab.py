@@ -181,10 +181,8 @@ def test_up_serves_restarts_and_ends_its_page(tmp_path: Path) -> None:
         for _ in patiently():
             if status(link.port, f"/api/drones/{first + 1}") == 200:
                 break
-        children = [
-            int(one) for one in Path(f"/proc/{up.process.pid}/task/{up.process.pid}/children").read_text().split()
-        ]
-        (server,) = [one for one in children if b"\0lab\0--port\0" in Path(f"/proc/{one}/cmdline").read_bytes()]
+        processes = up.children()
+        (server,) = [one for one, command in processes.items() if " lab --port " in command]
         assert os.getpriority(os.PRIO_PROCESS, server) == os.getpriority(os.PRIO_PROCESS, 0)  # as what flies
         os.kill(server, signal.SIGKILL)
         for _ in patiently():  # it comes back, with its links
@@ -194,4 +192,4 @@ def test_up_serves_restarts_and_ends_its_page(tmp_path: Path) -> None:
             except OSError:
                 continue
         assert up.interrupted() == 0
-        assert not any(map(alive, children))
+        assert not any(map(alive, processes))

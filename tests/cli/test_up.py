@@ -153,7 +153,7 @@ def test_a_program_that_keeps_dying_ends_all(first: int, tmp_path: Path) -> None
             os.kill(victim, signal.SIGKILL)
             lines = 2 if number < MOST_RESTARTS else 1
             running.wait(lambda count=count, lines=lines: len(running.err) >= count + lines, "it said nothing")
-        assert "too often, all end" in running.err[-1]
+        assert "too often: the whole fleet ends" in running.err[-1]
         assert running.ended() == 1
         assert gone(children)
 

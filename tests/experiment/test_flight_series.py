@@ -1,11 +1,11 @@
 """Series of flights: they come as simulated, an error comes too, and no drone is left behind."""
 
-from contextlib import suppress
-from pathlib import Path
+import os
 
 import numpy as np
 import pytest
 
+from tests.processes import children
 from twodof.errors import TwodofError
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.fly import fly_series
@@ -13,14 +13,9 @@ from twodof.experiment.fly import fly_series
 pytestmark = pytest.mark.slow
 
 
-def drones() -> list[str]:
+def drones() -> list[int]:
     """Return the processes of drones that this process has started."""
-    found = []
-    for task in Path("/proc/self/task").iterdir():
-        for process in (task / "children").read_text().split():
-            with suppress(OSError):  # it has ended
-                found += [process] if "fcu" in Path(f"/proc/{process}/cmdline").read_text() else []
-    return found
+    return [number for number, words in children(os.getpid()).items() if "fcu" in words]
 
 
 @pytest.mark.long

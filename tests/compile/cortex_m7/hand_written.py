@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.processes import alive
+from tests.processes import alive, children
 from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import Processor
 
@@ -49,6 +48,4 @@ def steps(processor: Processor, count: int = 1) -> tuple[NDArray[Any], NDArray[A
 
 def emulators(python: int) -> set[int]:
     """The emulators that this process has started and that still run."""
-    tasks = Path(f"/proc/{python}/task").iterdir()
-    children = [int(child) for task in tasks for child in (task / "children").read_text().split()]
-    return {n for n in children if alive(n) and Path(f"/proc/{n}/comm").read_text().startswith("qemu-system-arm")}
+    return {n for n, words in children(python).items() if alive(n) and "qemu-system-arm" in "".join(words[:1])}
