@@ -85,6 +85,18 @@ def test_a_free_response_gives_poles_and_friction(seed: int) -> None:
         assert found.greybox.sigma(name) < 0.01 * true[name]
 
 
+@pytest.mark.long
+def test_the_friction_of_a_rig_without_any_is_not_estimated() -> None:
+    """Its doubt would pass into xi. A drone with friction that is taken for such a rig is told so."""
+    log, other = Laboratory("paper").fly("impulse", 2).log, Laboratory("lab").fly("impulse", 2).log
+    found = identify_flight(log).greybox
+    assert "coulomb" not in found.labels
+    assert found.sigma("xi") < 8e-6
+    assert abs(found["xi"] - 0.0836) < 4.0 * found.sigma("xi")
+    mistaken = FlightLog(other.channels, {**other.provenance, "rig": "paper"})
+    assert any("dry friction explains" in one for one in identify_flight(mistaken).greybox.suggestions)
+
+
 @pytest.mark.parametrize("said", [{"flown": {"virtual": True}}, {"drone": {"rig": "paper", "virtual": True}}])
 def test_true_values_stand_beside_the_estimates(logs: dict[str, FlightLog], said: dict[str, object]) -> None:
     log = logs["doublet"]

@@ -99,6 +99,8 @@ PARAMETERS: Mapping[str, tuple[float, float]] = MappingProxyType(
 """Parameters of a member with their physical bounds; a member drawn outside of them is drawn again."""
 
 NOISE_SEED = 1
+_UNKNOWNS = 8
+"""Unknowns of a pitch and its flight: each takes one independent gust to estimate."""
 MOST_MEMBERS = 100_000
 _LEAST_TIME, _MOST = 1e-9, 1e300
 _USUAL_RADIUS = 0.775  # of the vibration's poles, which earlier models do not tell
@@ -301,12 +303,22 @@ class PitchFamily:
             columns |= {name: drawn[:, i] for i, name in enumerate(self.uncertain)}
         return PitchMembers(**columns)
 
-    def gusts(self, count: int, seed: int = NOISE_SEED) -> Array:
-        """Draw the gust's standard deviation (count,) for as many members, as its estimate leaves it open."""
+    def gusts(self, count: int, seed: int = NOISE_SEED) -> tuple[Array, Array]:
+        """Draw standard deviation and correlation time [s] of the gust, each (count,), as far as they are open.
+
+        A record of length S tells the power of what is new in a gust, 2 gust^2 / gust_time, by its freedom less the
+        unknowns of the fit. It tells the rate r = 1 / gust_time to sqrt(2 r / S), and takes it for 4 / S too fast
+        (Marriott and Pope, 1954; Kendall, 1954). So a short record has gusts that are too weak and too short.
+        """
         if not self.gust_freedom:
-            return np.full(count, self.gust)
-        freedom = max(self.gust_freedom, 4.0)
-        return np.asarray(self.gust * np.sqrt(freedom / np.random.default_rng((seed, 1)).chisquare(freedom, count)))
+            return np.full(count, self.gust), np.full(count, self.gust_time)
+        rng = np.random.default_rng((seed, 1))
+        length, freedom = self.gust_freedom * self.gust_time, max(self.gust_freedom - _UNKNOWNS, 4.0)
+        slowest, mean, variance = 1.0 / length, 1.0 / self.gust_time - 4.0 / length, 2.0 / (self.gust_time * length)
+        mean = max(mean, slowest)
+        rate = np.maximum(rng.gamma(mean**2 / variance, variance / mean, count), slowest)
+        power = freedom / rng.chisquare(freedom, count) / self.gust_time
+        return np.asarray(self.gust * np.sqrt(power / rate)), np.asarray(1.0 / rate)
 
     def root(self) -> Array:
         """Return a square root of the covariance, (k, k): the root times its transpose is the covariance."""

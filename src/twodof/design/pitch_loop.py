@@ -42,12 +42,12 @@ class PitchLoop:
     The controller reads q of the present sample and theta of the sample before, as the estimator integrates q: by
     rectangles, with q's noise. The states are theta, q, the rotors' moment and the gust, then the moments in the delay
     line, the published theta, and the states of the controller. The gust is a Gauss-Markov process with the correlation
-    time `gust_time` [s].
+    time `gust_time` [s], one or (n,).
     """
 
     members: PitchMembers
     controller: SampledController
-    gust_time: float = 0.1
+    gust_time: float | Array = 0.1
 
     def under(self, controller: SampledController) -> "PitchLoop":
         """Return the same members under another controller; their own matrices are not computed again."""

@@ -451,7 +451,9 @@ def _plants(family: PitchFamily, members: int, seed: int) -> tuple[PitchLoop, Pi
 
     Half the time of a short promise would go into their matrices, which no gain changes.
     """
-    return PitchLoop(family.draw(members, seed), _OPEN, family.gust_time), PitchLoop(family.nominal(), _OPEN)
+    return PitchLoop(family.draw(members, seed), _OPEN, family.gusts(members, seed)[1]), PitchLoop(
+        family.nominal(), _OPEN
+    )
 
 
 def promise(
@@ -498,7 +500,7 @@ def simulated_steps(
     setpoint = np.concatenate([np.zeros(_LEAD), np.full(steps, goal)])
     with np.errstate(over="ignore", invalid="ignore"):
         theta, q, moment = loop.simulate(
-            setpoint, seed, family.gusts(members, seed), family.q_noise, family.q_band, TILT_WALK, progress
+            setpoint, seed, family.gusts(members, seed)[0], family.q_noise, family.q_band, TILT_WALK, progress
         )
         before = nominal.after_step(goal, len(setpoint))
         moment, earlier = (m - m[_LEAD - TRIM : _LEAD].mean(axis=0) for m in (moment, before[2]))

@@ -412,7 +412,8 @@ def by_output_error(
         freed = [free_swing(one) for one in (*records, *checked)]
         records, checked = [one for one, _ in freed[: len(records)]], [one for one, _ in freed[len(records) :]]
         first = {f"{name}[{one.name}]": guess for one, guesses in freed for name, guess in guesses.items()}
-        given = {**machine.values(structure), "tau": 0.0, **first, **given}
+        smooth = {} if load_rig(machine.rig)["coulomb_idle"] > 0.0 else {"coulomb": 0.0}
+        given = {**machine.values(structure), **smooth, "tau": 0.0, **first, **given}
         wanted = tuple(name for name in SWUNG if name not in given)
     elif experiment == "impulse":
         wanted = wanted or tuple(name for name in released(structure) if name not in given)
@@ -486,11 +487,15 @@ def by_output_error(
 
 def _with_friction(found: Estimate, records: Sequence[Record]) -> Estimate:
     """Return the fit of a free response, with a suggestion where dry friction explains it better."""
-    if "coulomb" in (*found.labels, *found.fixed):
+    if "coulomb" in found.labels or found.fixed.get("coulomb"):
         return found
+    rubbing, given = free_response(), {}
+    wanted = released(rubbing)
+    if "coulomb" in found.fixed:
+        given = {**found.fixed, **dict(zip(found.labels, found.values.tolist(), strict=True)), "coulomb": 0.1}
+        wanted = (*found.labels, "coulomb")
     try:
-        rubbing = free_response()
-        other = fit(rubbing, records, estimate=released(rubbing), disturbance="white")
+        other = fit(rubbing, records, estimate=wanted, values=given, disturbance="white")
     except IdentificationError:
         return found
     before, after = (sum(one.rmse for one in both.identification) for both in (found, other))

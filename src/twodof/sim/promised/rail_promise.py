@@ -87,23 +87,25 @@ class RailFamily:
         """
         drawn, cart = self.pitch.draw(count, seed), self._cart(count, np.random.default_rng(seed + 1))
         base = dict(load_rig(self.base).snapshot())
-        gusts = self.pitch.gusts(count, seed).tolist()
+        gusts = np.transpose(self.pitch.gusts(count, seed)).tolist()
         return [self._rig(drawn.one(k), cart[k], base, gusts[k]) for k in range(count)]
 
     def nominal(self) -> dict[str, float]:
         """Return the parameters of the rig with the estimated values."""
         base = dict(load_rig(self.base).snapshot())
-        return self._rig(self.pitch.nominal().one(0), np.array([self.k_v, self.p_v]), base, self.pitch.gust)
+        return self._rig(
+            self.pitch.nominal().one(0), np.array([self.k_v, self.p_v]), base, (self.pitch.gust, self.pitch.gust_time)
+        )
 
     def _rig(
-        self, member: Mapping[str, float], cart: Array, base: Mapping[str, float], gust: float
+        self, member: Mapping[str, float], cart: Array, base: Mapping[str, float], gust: Sequence[float]
     ) -> dict[str, float]:
         tau = member["dead_time"] + member["lag"]
         model = {**member, "tau": tau, "k_v": float(cart[0]), "p_v": float(cart[1])}
         # The pitch's stiffness is that in flight, where running rotors take no more of it away.
         rig = identified_rig(model, {**base, "softening": 0.0})
-        if gust > 0.0:
-            rig["gust"], rig["gust_time"] = gust * rig["inertia"], self.pitch.gust_time
+        if self.pitch.gust > 0.0:
+            rig["gust"], rig["gust_time"] = gust[0] * rig["inertia"], gust[1]
         if self.pitch.q_noise > 0.0:
             rig["gyro_hover"], rig["gyro_line"] = self.pitch.q_noise, 0.0
         if self.pitch.q_band[1] > 0.0:
