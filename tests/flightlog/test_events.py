@@ -9,7 +9,7 @@ import pytest
 from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
 from twodof.excitation import Doublet, Excitation, Impulse, Steps, Sweep, ThreeTwoOneOne
-from twodof.flightlog.contents import describe, excitations, find_excitation
+from twodof.flightlog.contents import describe, excitations, find_excitation, log_summary
 from twodof.flightlog.events import mode_at, modes, openloop_edges, setpoint_steps, steps_by, thrust_edges, window
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
@@ -224,3 +224,11 @@ def test_the_open_loop_is_found_without_its_messages(flight_data: Path, file: st
     log = read_log(flight_data / f"{file}.mat")
     without = FlightLog({name: c for name, c in log.channels.items() if name != "lmnf"})
     assert modes(without) == modes(log)
+
+
+def test_a_px4_log_is_named_after_no_experiment() -> None:
+    """Its set-points follow sticks and missions: what they resemble is nobody's experiment."""
+    log = attitude_steps()
+    of = {name: FlightLog(log.channels, {"ulog": {"info": {"sys_name": name}}}) for name in ("twodof", "PX4")}
+    assert log_summary(log)["experiment"] == log_summary(of["twodof"])["experiment"] == "attitude-steps"
+    assert log_summary(of["PX4"])["experiment"] is None

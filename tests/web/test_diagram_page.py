@@ -38,6 +38,16 @@ COVERED = """() => {
     }
   return found;
 }"""
+HIDDEN = """() => {
+  const box = document.querySelector(".sheet").getBoundingClientRect();
+  const over = [...document.querySelectorAll(".where, .svelte-flow__controls")].map((one) => one.getBoundingClientRect());
+  const meets = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+  return [...document.querySelectorAll(".svelte-flow__node")].filter((node) => {
+    const r = node.getBoundingClientRect();
+    const inside = r.left >= box.left && r.right <= box.right && r.top >= box.top && r.bottom <= box.bottom;
+    return !inside || over.some((one) => meets(one, r));
+  }).map((node) => node.dataset.id);
+}"""
 HEARD = """() => {
   globalThis.heard = [];
   const said = document.querySelector("#diagram-said");
@@ -74,6 +84,12 @@ def block(page: Page, name: str) -> Locator:
 
 def sheet(page: Page) -> Locator:
     return page.locator(".sheet")
+
+
+def hidden(page: Page) -> list[str]:
+    """Return the nodes that are not wholly on the sheet, or under its path, folds and zoom."""
+    found: list[str] = page.evaluate(HIDDEN)
+    return found
 
 
 def drawn(page: Page) -> Page:
@@ -120,9 +136,28 @@ def test_a_starter_is_drawn_and_simulated(server: Served, open_page: OpenPage) -
 def test_the_whole_sheet_is_shown_beside_its_buttons(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=empty-attitude")))
     page.set_viewport_size({"width": 1280, "height": 560})
+    for _ in range(4):
+        page.get_by_role("button", name="Zoom In").click()
+    assert any(hidden(page)), "the sheet is larger than its place"
     page.get_by_role("button", name="Fit View").click()
+    assert any(not hidden(page) for _ in patiently()), hidden(page)
     for terminal in ("i:theta_0", "o:M"):  # refused if anything covers it
         page.locator(f'[data-id="{terminal}"]').click()
+    left, right = (page.locator(f'[data-id="{one}"]').bounding_box() for one in ("i:theta_0", "o:M"))
+    box = sheet(page).bounding_box()
+    assert left
+    assert right
+    assert box
+    assert right["x"] + right["width"] - left["x"] > 0.5 * box["width"], "it is smaller than it could be"
+
+
+def test_a_subtraction_is_found_by_its_name(server: Served, open_page: OpenPage) -> None:
+    page = drawn(open_page(link(server, "?starter=empty-attitude")))
+    sheet(page).focus()
+    page.keyboard.press("a")
+    page.keyboard.type("subtract")
+    page.keyboard.press("Enter")
+    expect(page.get_by_label("signs", exact=True)).to_have_value("+-")
 
 
 def test_a_busy_computer_is_asked_again(server: Served, open_page: OpenPage) -> None:

@@ -7,6 +7,7 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from tests.patience import patiently
 from tests.web.conftest import OpenPage, readable
 from tests.web.lab_server import LabServer
 
@@ -26,6 +27,18 @@ def test_a_drone_is_stopped_from_the_list(lab_server: LabServer, open_page: Open
     page.get_by_role("button", name="Release all").click()
     lab_server.until(killed=False)
     expect(page.get_by_role("button", name="Release all")).to_have_count(0)
+    lab_server.tell("reset", {"seed": 5, "rings": True})
+    lab_server.until(warnings=[])
+    lab_server.tell("arm")
+    again = page.get_by_role("button", name="Reset all")
+    expect(again).to_be_disabled()
+    lab_server.tell("disarm")
+    flown = lab_server.state["time"]
+    again.click()
+    for _ in patiently():
+        if lab_server.state["time"] < flown:
+            break
+    assert (lab_server.state["seed"], lab_server.state["rings_locked"]) == (5, True)
     card.get_by_role("button", name="STOP").click()
     lab_server.until(killed=True)
     card.get_by_role("link").click()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
-from tests.web.conftest import OpenPage, axe, picture
+from tests.web.conftest import SIZES, OpenPage, axe, picture
 from tests.web.lab_server import LabServer
 from tests.web.pilot import armed, flies_to, flown, flying, press, reaches
 from twodof.flightlog.files import read_log
@@ -55,6 +55,8 @@ def test_the_page_survives_a_lost_link(lab_server: LabServer, open_page: OpenPag
         expect(page.get_by_text(f"The link to drone {lab_server.drone} is lost.")).to_be_visible()
         expect(page.get_by_role("button", name="Disarm")).to_be_disabled()
         expect(page.get_by_text("The link is lost.", exact=True).first).to_be_visible()
+        expect(page.get_by_text("Armed", exact=True)).to_have_count(0)
+        expect(page.get_by_text("Armed when last heard")).to_have_count(2)
     expect(page.get_by_text(f"The link to drone {lab_server.drone} is lost.")).to_be_hidden()
     # Which of the two the drone missed first depends on the load of this computer.
     expect(page.get_by_label("Log of the drone")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
@@ -68,13 +70,20 @@ def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPa
     with Drone.connect(lab_server.url):
         expect(page.get_by_text("Commanded by").first).to_be_visible()
         expect(page.get_by_role("button", name="Take command")).to_be_visible()
-        page.get_by_role("button", name="Arm", exact=True).click()
         messages, main = page.get_by_label("Messages"), page.locator("main")
+        before = main.bounding_box()
+        page.get_by_role("button", name="Arm", exact=True).click()
         expect(messages.get_by_text("holds the lease")).to_be_visible()
-        inside, below = main.bounding_box(), messages.bounding_box()
-        assert inside
-        assert below
-        assert inside["y"] + inside["height"] <= below["y"] + 1, "it covers what is shown"
+        assert main.bounding_box() == before, "it moves the page"
+        for size in SIZES.values():
+            page.set_viewport_size({"width": size[0], "height": size[1]})
+            inside, above = main.bounding_box(), messages.bounding_box()
+            assert inside
+            assert above
+            assert above["y"] + above["height"] <= inside["y"] + 1, "it covers what is shown"
+            page.get_by_role("button", name="STOP F8").click(trial=True)  # refused if anything covers it
+            picture(page, f"message-{size[0]}")
+        page.set_viewport_size({"width": SIZES["wide"][0], "height": SIZES["wide"][1]})
     expect(page.get_by_text("Not commanded").first).to_be_visible()
     page.get_by_role("button", name="Take command").click()
     expect(page.get_by_text("You command").first).to_be_visible()

@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { LineView } from "../src/chart/views.svelte";
+import { OpenLog } from "../src/pages/logs/open_log.svelte";
 import { isThinned, nameAndUnit, panels, spliced } from "../src/pages/logs/curves";
 import { advance, Replay } from "../src/pages/logs/replay";
 import { float32s, float64s, staircase } from "../src/pages/logs/unpack";
@@ -20,6 +21,17 @@ describe("numbers as the server packs them", () => {
     expect([...x]).toEqual([0, 1, 1, 3, 3]);
     expect([...y]).toEqual([5, 5, 6, 6, 7]);
     expect(staircase(new Float64Array(0), new Float32Array(0)).x.length).toBe(0);
+  });
+});
+
+describe("the time of an open log", () => {
+  it.each([
+    [86.4, 0],
+    [1.7e9, 1.7e9],
+  ])("that begins at %d s is counted from %d s: Unix time is too long for an axis", (begin, zero) => {
+    const log = new OpenLog("a.csv");
+    log.facts = { span: [begin, begin + 10] } as OpenLog["facts"];
+    expect(log.view.origin()).toBe(zero);
   });
 });
 

@@ -129,11 +129,11 @@ describe("the socket", () => {
     telemetry.onConnection((connected) => seen.push(connected));
     telemetry.start();
     last().open();
-    vi.advanceTimersByTime(5000);
+    vi.advanceTimersByTime(2500);
     last().tell(rows(9));
-    vi.advanceTimersByTime(5000);
+    vi.advanceTimersByTime(2500);
     expect(seen).toEqual([true]);
-    vi.advanceTimersByTime(1000);
+    vi.advanceTimersByTime(500);
     expect(seen).toEqual([true, false]);
     expect(sockets[0]!.closed).toBe(true);
     vi.advanceTimersByTime(250 + 6000);
@@ -150,7 +150,7 @@ describe("the socket", () => {
     last().open();
     vi.advanceTimersToNextTimer(); // what was due is served first, however long ago
     last().tell(rows(9));
-    vi.advanceTimersByTime(5999);
+    vi.advanceTimersByTime(2999);
     expect(seen).toEqual([true]);
   });
 

@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import type { DroneState } from "../src/api/drones";
 import { ApiError } from "../src/api/client";
 import { figure } from "../src/chart/numbers";
-import { leaseWord } from "../src/state/words";
+import { armedWord, leaseWord } from "../src/state/words";
 
 describe("who commands", () => {
   const state = (part: Partial<DroneState>) =>
@@ -12,6 +12,15 @@ describe("who commands", () => {
     expect(state({})).toBe("Not commanded");
     expect(state({ lease_holder: [242, 190], experiment: true })).toBe("Commanded by an experiment");
     expect(state({ lease_holder: [242, 190], experiment: false })).toBe("Commanded by client 242");
+  });
+});
+
+describe("whether it is armed", () => {
+  const armed = (link: DroneState["link"]) => ({ link, armed: true, killed: false }) as DroneState;
+  it("is told as of the last word where the drone is not heard", () => {
+    expect(armedWord(armed("heard")).text).toBe("Armed");
+    expect(armedWord(armed("lost"))).toEqual({ kind: "plain", text: "Armed when last heard" });
+    expect(armedWord(armed("heard"), false).text).toBe("Armed when last heard");
   });
 });
 

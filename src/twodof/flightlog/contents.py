@@ -2,6 +2,7 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import islice, pairwise
 from typing import Any
@@ -21,6 +22,7 @@ from twodof.flightlog.events import (
     window,
 )
 from twodof.flightlog.log import FlightLog, Gap
+from twodof.flightlog.ulog_writer import OWN
 from twodof.signals import BY_MAT, PERIOD
 
 MAX_LISTED = 1000
@@ -64,12 +66,7 @@ def excitations(log: FlightLog) -> list[DetectedExcitation]:
     found = []
     edges = openloop_edges(log) if "lmnf" in log else []
     for stretch, calm in _calm_stretches(log):
-        if stretch.mode == "open-loop":
-            excitation = _open_loop(log, stretch, edges)
-        elif stretch.mode in SETPOINTS:
-            excitation = _closed_loop(log, stretch)
-        else:
-            excitation = None
+        excitation = _open_loop(log, stretch, edges) if stretch.mode == "open-loop" else _closed_loop(log, stretch)
         if excitation is not None:
             (start, stop), (first, last) = excitation.window, calm
             found.append(replace(excitation, window=(max(start, first), min(stop, last))))
@@ -182,8 +179,8 @@ def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Dete
 
 
 def _closed_loop(log: FlightLog, stretch: Stretch) -> DetectedExcitation | None:
-    name = SETPOINTS[stretch.mode]
-    if name not in log:
+    name = SETPOINTS.get(stretch.mode)
+    if name is None or name not in log:
         return None
     channel = log[name].slice(stretch.t0, stretch.t1)
     changes = np.flatnonzero(np.diff(channel.value)) + 1
@@ -280,11 +277,11 @@ def _flag(*values: object) -> bool | None:
 
 
 def _likely(log: FlightLog) -> str | None:
-    try:
-        found = excitations(log)
-    except LogError:  # a log of others that lacks what tells it
-        return None
-    return max(found, key=lambda one: one.duration).name if found else None
+    vehicle = _table(_table(log.provenance, "ulog"), "info").get("sys_name", OWN)
+    with suppress(LogError):  # a log of others that lacks what tells it
+        found = excitations(log) if vehicle == OWN else []  # PX4's set-points follow sticks and missions
+        return max(found, key=lambda one: one.duration).name if found else None
+    return None
 
 
 def _spark(log: FlightLog) -> dict[str, Any] | None:

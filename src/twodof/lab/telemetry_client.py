@@ -86,7 +86,7 @@ MOST_CLIENTS = 100
 MOST_STREAMS = 32
 FREE_S = 0.5
 """A watching client's messages wait for turns, but for one in this time [s]."""
-ALIVE_S = 2.0
+ALIVE_S = 1.0
 SEND_S = 30.0
 """Longest time to send one message [s]; after that the client is disconnected."""
 

@@ -170,7 +170,7 @@ class Rows:
     count: int
 
 
-MOST_UNANSWERED = 2
+MOST_UNANSWERED = 4
 """A client with more unanswered `alive` counts as frozen, although its browser keeps the socket open."""
 
 

@@ -33,8 +33,9 @@ interface Subscription {
 
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
-/** A socket that is silent for so long is lost. */
-const SILENCE_MS = 6000;
+/** A socket that is silent for so long is lost; the server says every second that it is there. */
+const SILENCE_MS = 3000;
+const CONNECT_MS = 6000;
 /** Last part of it, so that a page that stood still reads its queue first. */
 const AWAKE_MS = 500;
 const CONNECTING = 0;
@@ -125,7 +126,7 @@ export class Telemetry {
     };
     socket.onclose = () => this.lost();
     // A server that accepts and then says nothing, before the socket is open, is lost as well.
-    this.heard();
+    this.heard(CONNECT_MS);
   }
 
   private ask(id: number): void {
@@ -162,11 +163,11 @@ export class Telemetry {
       }
   }
 
-  private heard(): void {
+  private heard(within = SILENCE_MS): void {
     clearTimeout(this.silence);
     this.silence = setTimeout(() => {
       this.silence = setTimeout(() => this.lost(), AWAKE_MS);
-    }, SILENCE_MS - AWAKE_MS);
+    }, within - AWAKE_MS);
   }
 
   private drop(): void {

@@ -31,7 +31,8 @@ const linkWord = ({ link }: DroneState): Word =>
 export const stoppedByFailsafe = (state: DroneState): boolean =>
   !state.armed && !state.killed && state.failsafe === "off";
 
-export function armedWord(state: DroneState): Word {
+export function armedWord(state: DroneState, heard = state.link === "heard"): Word {
+  if (!heard) return { kind: "plain", text: `${armedWord(state, true).text} when last heard` };
   if (state.killed) return { kind: "bad", text: "Stopped" };
   if (stoppedByFailsafe(state)) return { kind: "bad", text: "Stopped by the failsafe" };
   return state.armed ? { kind: "warn", text: "Armed" } : { kind: "plain", text: "Disarmed" };

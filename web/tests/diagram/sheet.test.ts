@@ -170,7 +170,7 @@ describe("the palette", () => {
     expect(searched(blocks, "FILTER")[0]?.type).toBe("low_pass");
     expect(searched(blocks, "low pass")[0]?.type).toBe("low_pass");
     const sum = { type: "sum", name: "Sum", group: "math", text: "The signed sum." };
-    expect(searched([...blocks, sum], "Subtract").map((one) => one.type)).toEqual(["sum"]);
+    expect(searched([...blocks, sum], "Add").map((one) => one.type)).toEqual(["sum"]);
     expect(searched(blocks, "nothing of the kind")).toEqual([]);
     expect(searched(blocks, " ")).toHaveLength(3);
   });

@@ -13,6 +13,7 @@ import { MACHINE, NEW_MACHINE, NEW_STATE, opens, STATE } from "./model/chart";
 import { commented, commentToggled, type Comment } from "./model/comment";
 import { grouped, ungrouped } from "./model/grouping";
 import { real } from "./model/json_text";
+import { SUBTRACT } from "./model/search";
 import { tops } from "./model/shapes";
 import { joined, wiresAt } from "./model/wiring";
 import { folds } from "./folds.svelte";
@@ -239,7 +240,8 @@ export function add(type: string, at?: Point): void {
 }
 
 /** Make a part with a free place near `at`; undefined for an unknown type. */
-export function made(type: string, at: Point): Part | undefined {
+export function made(asked: string, at: Point): Part | undefined {
+  const [type, more] = asked === SUBTRACT ? ["sum", { signs: "+-" }] : [asked, {}];
   const entry = editor.catalogue?.blocks.find((one) => one.type === type);
   const own = { [MACHINE]: NEW_MACHINE, [STATE]: NEW_STATE }[type];
   if (type !== "diagram" && own === undefined && entry === undefined) return undefined;
@@ -251,7 +253,7 @@ export function made(type: string, at: Point): Part | undefined {
     own ??
     (entry === undefined
       ? { ...EMPTY, name, inputs: [{ name: "u" }], outputs: [["y", "u"] as const] }
-      : ({ is: "block", type, json: { type, config: entry.config } } as const));
+      : ({ is: "block", type, json: { type, config: { ...entry.config, ...more } } } as const));
   return edits.newPart(editor.here, name, item, free(at));
 }
 

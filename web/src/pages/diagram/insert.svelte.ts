@@ -5,7 +5,7 @@ import { editor } from "./editor.svelte";
 import { MACHINE, STATE } from "./model/chart";
 import { findPart, outputId, partId, sourceOf, type Point } from "./model/diagram";
 import { addPart, connect } from "./model/edits";
-import type { Choice } from "./model/search";
+import { SUBTRACT, type Choice } from "./model/search";
 import { sourceText, tops } from "./model/shapes";
 
 /** Wire without one end, and the place of the missing block. */
@@ -25,9 +25,14 @@ const OWN: readonly Choice[] = [
 const STATES: readonly Choice[] = [{ type: STATE, name: "State", group: "chart", text: "A state of this chart." }];
 const GAP = 60;
 
+const withSubtract = (one: Choice): Choice[] =>
+  one.type === "sum"
+    ? [one, { ...one, type: SUBTRACT, name: "Subtract", text: "y = a - b: a Sum with + and -." }]
+    : [one];
+
 class Choices {
   readonly all: readonly Choice[] = $derived(
-    editor.here.chart ? STATES : [...OWN, ...(editor.catalogue?.blocks ?? [])],
+    editor.here.chart ? STATES : [...OWN, ...(editor.catalogue?.blocks.flatMap(withSubtract) ?? [])],
   );
 
   fitting({ from, to }: Loose): Choice[] {

@@ -55,7 +55,7 @@ export class MeasuredSteps {
   scaled(goal: number): ScaledStep[] {
     if (!this.shown) return [];
     const large = (step: FlownStep): boolean => Math.abs(step.after - step.before) >= LEAST;
-    const steps = this.live.filter((step) => step.loop.loop === "theta" && large(step)).slice(-SHOWN);
+    const steps = this.latest(this.live.filter((step) => step.loop.loop === "theta" && large(step)));
     if (steps.length > 0)
       return steps.map((step) => ({
         label: this.labelOf(step, steps),
@@ -67,6 +67,17 @@ export class MeasuredSteps {
       time: step.time,
       theta: step.theta.map((value) => value * goal),
     }));
+  }
+
+  /** Return the steps to show: the latest, half of them of the gains before if there are others. */
+  private latest(steps: readonly FlownStep[]): readonly FlownStep[] {
+    const sets = new Map<string, FlownStep[]>();
+    for (const step of steps.toReversed()) {
+      const gains = String([...(this.values.get(step.time) ?? [])]);
+      sets.set(gains, [...(sets.get(gains) ?? []), step]);
+    }
+    const shown = [...sets.values()].slice(0, 2).flatMap((one) => one.slice(0, sets.size > 1 ? SHOWN / 2 : SHOWN));
+    return shown.sort((a, b) => a.time - b.time);
   }
 
   private labelOf(step: FlownStep, steps: readonly FlownStep[]): string {

@@ -5,6 +5,9 @@ export interface Choice {
   readonly text: string;
 }
 
+/** Choice of a Sum that subtracts. */
+export const SUBTRACT = "subtract";
+
 /** Return the choices that contain every word of `query`, the best first. */
 export function searched<T extends Choice>(choices: readonly T[], query: string): T[] {
   const asked = plain(query);
@@ -20,7 +23,8 @@ const NONE = 100;
 /** Simulink's names of blocks. */
 const ALSO: ReadonlyMap<string, readonly string[]> = new Map(
   Object.entries({
-    sum: ["add", "subtract"],
+    sum: ["add"],
+    [SUBTRACT]: ["minus", "difference"],
     saturation: ["saturate", "limiter"],
     pid: ["antiwindup"],
     rate_limit: ["rate limiter", "slew rate"],

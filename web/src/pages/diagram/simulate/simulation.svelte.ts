@@ -27,7 +27,7 @@ class Simulation {
   /** Whether the stock controller flies beside the diagram. */
   beside = $state(false);
   /** What the plots show. */
-  plot = $state<"step" | "bode">("step");
+  plot = $state<"step" | "Bode plot">("step");
   stock = $state.raw<Flown | undefined>(undefined);
   private readonly mine = new LoopWorker();
   private readonly other = new LoopWorker();
