@@ -1,5 +1,6 @@
 """Experiments on the virtual rig: they fit, repeat to the bit, are recognised in their own log, and replay from it."""
 
+import re
 from math import radians
 
 import numpy as np
@@ -27,6 +28,8 @@ def laboratory(request: pytest.FixtureRequest) -> Laboratory:
 def test_every_ready_made_experiment_fits_and_its_data_are_good(laboratory: Laboratory, name: str) -> None:
     flight = laboratory.fly(experiment(name), seed=5)
     assert flight.good, flight.checks
+    (excited,) = (check.seen for check in flight.checks if check.name == "excited")
+    assert re.match(r"(q moves by \S+ rad/s|theta moves by \S+ rad|v moves by \S+ m/s|x moves by \S+ m),", excited)
     found = describe(flight.log)["experiment"]
     assert found is not None
     assert found["mode"] == EXPERIMENTS[name].mode

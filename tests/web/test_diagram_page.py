@@ -40,7 +40,8 @@ COVERED = """() => {
 }"""
 HIDDEN = """() => {
   const box = document.querySelector(".sheet").getBoundingClientRect();
-  const over = [...document.querySelectorAll(".where, .svelte-flow__controls")].map((one) => one.getBoundingClientRect());
+  const panels = [...document.querySelectorAll(".where, .svelte-flow__controls")];
+  const over = panels.map((one) => one.getBoundingClientRect());
   const meets = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
   return [...document.querySelectorAll(".svelte-flow__node")].filter((node) => {
     const r = node.getBoundingClientRect();

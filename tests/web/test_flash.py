@@ -36,6 +36,7 @@ def test_a_changed_controller_is_flashed_and_flies(lab_server: LabServer, open_p
     expect(dialog.get_by_text("no swing grows")).to_be_visible(timeout=LONG_MS)
     expect(dialog.get_by_text("What changes against")).to_be_visible()
     expect(dialog.get_by_role("row", name="0.00054 s²/rad, 0 to 0.05")).to_be_visible()
+    dialog.get_by_text(re.compile(r"Blocks and wires: \d+ changes")).click()
     expect(dialog.get_by_role("listitem").filter(has_text=re.compile("added.*block pid"))).to_be_visible()
     assert "pid" not in lab_server.state["controller"], "a rehearsal changes nothing on the drone"
     dialog.get_by_role("button", name=re.compile("Flash to drone")).click()

@@ -29,7 +29,7 @@ from twodof.flightlog.steps import TRUTH, safety_channel, step_channels, truth_c
 from twodof.parameters import TUNABLES, ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import MEASUREMENTS
-from twodof.signals import MODES, PERIOD, TOPICS
+from twodof.signals import BY_MAT, MODES, PERIOD, TOPICS
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 from twodof.sim.time_alignment import runs
 
@@ -117,7 +117,7 @@ def _excited(experiment: Experiment, plan: Script, out: Signals) -> FlightCheck:
     return FlightCheck(
         "excited",
         largest > 5.0 * float(before.std()),
-        f"{name} moves by {largest:.3g}, its noise before is {before.std():.2g}",
+        f"{name} moves by {largest:.3g} {BY_MAT[name].unit}, its noise before is {before.std():.2g}",
     )
 
 

@@ -168,15 +168,15 @@ def without_folders(text: str) -> str:
 def refusal_of(error: TwodofError) -> dict[str, str]:
     """Return the fields of the Refusal that tells a client of an error."""
     told = {key: without_folders(str(getattr(error, key))) for key in ("what", "where", "remedy")}
-    return told | {"remedy": told["remedy"].replace("connect again", "wait: the server connects again by itself")}
+    remedy = told["remedy"].replace("connect again", "wait: the server connects again by itself")
+    return told | {"remedy": remedy.replace(", or watch with take_lease=False", "")}
 
 
 def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
     """Return a text about the first mistakes in a request's data, and a text of their places."""
     rows = errors[:_MOST_MISTAKES]
     where = ", ".join(".".join(str(part)[:80] for part in row["loc"]) for row in rows)
-    what = "; ".join(f"{row['msg']}, not {shown(row['input'])}" for row in rows)
-    return what, where
+    return "; ".join(f"{row['msg']}, not {shown(row['input'])}" for row in rows), where
 
 
 def install(app: FastAPI) -> None:
