@@ -169,7 +169,7 @@ def models(repository: Path) -> list[tuple[Path, list[Path]]]:
     files = sorted(one for one in repository.rglob("*.slx") if one.is_file())
     files += sorted(one for one in repository.rglob("*.mdl") if one.is_file())
     files = [one for one in files if not one.name.startswith("._")]  # what macOS keeps beside a file
-    beside = [one for end in ("sldd", "m") for one in repository.rglob(f"*.{end}")]
+    beside = [one for end in ("sldd", "m", "mat") for one in repository.rglob(f"*.{end}")]
     # Folders of classes, packages and private functions are on no path of MATLAB's.
     off = re.compile(r"/(?:[@+]|private\b)")
     folders = sorted({one.parent for one in (*files, *beside) if off.search(f"{one.parent}/") is None})

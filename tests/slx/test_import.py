@@ -338,6 +338,25 @@ def matlab_function(tmp_path: Path, code: str) -> Imported:
     return import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT)
 
 
+def test_a_name_with_space_around_it_has_its_code(tmp_path: Path) -> None:
+    code = "function y = f(u)\ny = 5 * u;"
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double"}),
+        ("SubSystem", "plant", {}, ([
+            ("Inport", "u", {}),
+            ("SubSystem", "  rises ", {"SFBlockType": "MATLAB Function", "Ports": "[1, 1]"}),
+            ("Outport", "y", {}),
+        ], [("u", "  rises "), ("  rises ", "y")])),
+        ("Outport", "y", {}),
+    ]  # fmt: skip
+    files = model(blocks, [("u", "plant"), ("plant", "y")])
+    state = f'<state SSID="1"><P Name="labelString">f</P><eml><P Name="script">{code}</P></eml></state>'
+    chart = f'<chart id="9"><P Name="name">plant/  rises </P><Children>{state}</Children></chart>'
+    files["simulink/stateflow/chart_9.xml"] = chart
+    found = flown(import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT), {"u": DRAWN[0]})
+    assert np.array_equal(found["y"], 5 * DRAWN[0])
+
+
 def test_a_matlab_function_of_assignments_is_translated(tmp_path: Path) -> None:
     ned, attitude = np.random.default_rng(3).normal(size=(2, STEPS, 3))
     found = flown(matlab_function(tmp_path, ROTATION), {"ned": ned, "attitude": attitude})

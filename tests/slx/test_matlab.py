@@ -141,6 +141,27 @@ def test_a_function_knows_how_many_results_are_asked_for(tmp_path: Path) -> None
     assert [np.asarray(names[name]).tolist() for name in ("one", "x", "y")] == [[[10.0]], [[20.0]], [[21.0]]]
 
 
+def test_a_table_of_a_csv_file_is_grouped(tmp_path: Path) -> None:
+    """A function finds the table in its folder; equal keys are averaged, as Octave does by unique and accumarray."""
+    table = "\ufefftime,signal,thrust\n0,1200,3\n1,1000,,\n2,1200,5e0\n3,1100,-1\n4,1000,7\n"
+    (tmp_path / "thrust test.csv").write_text(table.replace("1000,,", "1000,2"), encoding="utf-8")
+    code = """function [keys, of] = grouped(file)
+    data = readtable(file);
+    [keys, ~, at] = unique(data{:, 2});
+    of = accumarray(at, data{:, 3}, [], @mean); plot(keys, of); title('thrust');
+    end"""
+    (tmp_path / "grouped.m").write_text(code, encoding="utf-8")
+    names: dict[str, Value] = {}
+    script = "[keys, of] = grouped('thrust test.csv'); sums = accumarray([2; 1; 2], [1; 2; 3]);\n"
+    assert (
+        run(script + "[c, first] = unique([3 1 3 2]); [none, x] = grouped('/etc/x.csv');", names, [tmp_path])[0].line
+        == 2
+    )
+    assert [np.asarray(names[one]).flatten().tolist() for one in ("keys", "of", "sums", "c", "first")] == [
+        [1000.0, 1100.0, 1200.0], [4.5, -1.0, 4.0], [2.0, 4.0], [1.0, 2.0, 3.0], [2.0, 4.0, 1.0],
+    ]  # fmt: skip
+
+
 def test_what_is_not_computed_is_said_by_line_and_leaves_no_old_value() -> None:
     workspace: dict[str, object] = {"h": np.ones((1, 1))}
     skipped = run(

@@ -174,7 +174,7 @@ a = v(i);
 b = v; b(i) = 10; b(v > 1) = 0;
 c = M(:, i) + M(1 + (u > 0), 1);
 c(1 + (u > 1)) = u;
-d = M; d(2, i) = -1; d(1, :) = [u, v(1:2)'];
+d = M; d(2, i) = -1; d(1, :) = [u; v(1:2)];
 end
 """
 
@@ -185,7 +185,8 @@ y = [m; at; n; low; r; c; mod(u, 2*pi); rem(u, .7); mod(-u, 3); mod(u, 0); rem(u
      rem(u / 0, .7); mod(u * NaN, .7); fix(u); round(u); sign(v);
      atan2(u, v(1)); exp(u)^2; u^3; abs(u)^.5; 2^u; hypot(u, 3); tanh(u); max(u, NaN); min([NaN; v]); isnan(u / 0);
      max(v(1), v(2)); any(v > 1); all(v > -1); xor(u > 0, v(1) > 0); sqrt(abs(u)); floor(-u); ceil(u); numel(v);
-     interp1([-1 0 2], [5 6 -2], max(min(u, 2), -1)); logical(v(1)); double(u > 0) * 2; cosh(u); deg2rad(u)];
+     interp1([-1 0 2], [5 6 -2], max(min(u, 2), -1)); logical(v(1)); double(u > 0) * 2; cosh(u); deg2rad(u);
+     filter([.5 .25 .125 2], 2, [v; u; -v])];
 end
 """
 

@@ -705,7 +705,7 @@ def test_elements_of_a_vector_are_assigned(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("block", "said"),
     [
-        (("Math", {"Operator": "transpose"}), "Operator = 'transpose' is not translated"),
+        (("Math", {"Operator": "conj"}), "Operator = 'conj' is not translated"),
         (("Reshape", {"OutputDimensionality": "Derive from reference input port"}), "OutputDimensionality"),
         (("Assignment", {"Ports": "[2, 1]", "IndexOptions": "Index vector (port)"}), "IndexOptions"),
     ],
@@ -862,6 +862,34 @@ def test_elements_of_a_bus_without_a_type_are_inputs(tmp_path: Path) -> None:
     found = imported(tmp_path, blocks, [("first", "both:1"), ("second", "both:2"), ("both", "y")])
     y = flown(found, {"Estimates_velocity": DRAWN[0], "Estimates_current": DRAWN[1]})["y"]
     assert np.array_equal(y, DRAWN[0] - DRAWN[1])
+
+
+def test_a_transposed_vector_is_a_row_to_products_and_a_vector_to_others(tmp_path: Path) -> None:
+    """By numpy: u' u, u u' of which the first column is taken, and elements of 2 u' that a Demux parts."""
+    matrix = {"Multiplication": "Matrix(*)", "Ports": "[2, 1]"}
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double", "PortDimensions": "3"}),
+        ("Math", "row", {"Operator": "transpose"}),
+        ("Product", "inner", matrix),
+        ("Product", "outer", matrix),
+        ("Constant", "first", {"Value": "[1; 0; 0]"}),
+        ("Product", "column", matrix),
+        ("Gain", "twice", {"Gain": "2"}),
+        ("Math", "back", {"Operator": "transpose"}),
+        ("Demux", "part", {"Outputs": "3"}),
+        ("Terminator", "end", {}),
+        *(("Outport", name, {"Port": str(k)}) for k, name in enumerate(("y", "z", "a", "b", "c"), start=1)),
+    ]
+    lines = [("u", "row"), ("row", "inner:1"), ("u", "inner:2"), ("inner", "y"), ("u", "outer:1"), ("row", "outer:2"),
+             ("outer", "column:1"), ("first", "column:2"), ("column", "z"), ("row", "twice"), ("twice", "part"),
+             ("part:1", "a"), ("part:3", "b"), ("part:2", "end"), ("twice", "back"), ("back", "c")]  # fmt: skip
+    u = DRAWN[:3].T.copy()
+    found = flown(imported(tmp_path, blocks, lines), {"u": u})
+    assert np.allclose(found["y"], (u * u).sum(axis=1), rtol=1e-15)
+    assert np.array_equal(found["z"], u * u[:, :1])
+    assert np.array_equal(found["a"], 2 * u[:, 0])
+    assert np.array_equal(found["b"], 2 * u[:, 2])
+    assert np.array_equal(found["c"], 2 * u)
 
 
 def test_an_input_without_a_type_is_the_bus_that_is_selected_of_it(tmp_path: Path) -> None:

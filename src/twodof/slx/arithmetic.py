@@ -19,19 +19,11 @@ from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, where
 from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, INTEGERS, STORED, WORDS
 from twodof.blocks.library import Abs, Bias, Compare, CompareToConstant, Gain, Maximum, Minimum, Saturation
+from twodof.blocks.library.logic import COMPARISONS
 from twodof.slx.composite_blocks import formula
 from twodof.slx.data_types import kind_of
 from twodof.slx.model import System
-from twodof.slx.translation import (
-    Asked,
-    Made,
-    NotTranslated,
-    Rule,
-    each,
-    of_elements,
-    passes,
-    same,
-)
+from twodof.slx.translation import Asked, Made, NotTranslated, Rule, each, of_elements, passes, same
 
 ROUNDING: Mapping[str, Callable[[Any], Any]] = {
     "Floor": floor,
@@ -43,8 +35,7 @@ ROUNDING: Mapping[str, Callable[[Any], Any]] = {
     "Simplest": trunc,
 }
 COMPARED = {"==": "==", "~=": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="}
-_OPERATIONS = {"==": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le}
-_OPERATIONS |= {">": operator.gt, ">=": operator.ge}
+_TESTS = {"isNaN": lambda u: u != u, "isInf": lambda u: abs(u) == math.inf, "isFinite": lambda u: abs(u) < math.inf}
 
 
 def exact(c: Asked) -> Callable[[Any], Any]:
@@ -229,19 +220,14 @@ def _truth(c: Asked, of: Callable[..., Any], block: Any = None) -> Made:
 
 def _relational(c: Asked) -> Made:
     name = c.text("Operator", c.text("Function", ">="))
-    if name in ("isNaN", "isInf", "isFinite"):
-        tests = {
-            "isNaN": lambda u: u != u,
-            "isInf": lambda u: abs(u) == math.inf,
-            "isFinite": lambda u: abs(u) < math.inf,
-        }
-        return _truth(c, tests[name])
+    if name in _TESTS:
+        return _truth(c, _TESTS[name])
     if name not in COMPARED:
         raise NotTranslated(f"Operator = {name!r} is not translated")
     kinds = {one.number for one in c.inputs}
     plain = len(kinds) == 1 and kinds <= {"real", *WORDS}
     block = (lambda: Compare(COMPARED[name], c.inputs[0].kind, c.width)) if plain else None
-    return _truth(c, _OPERATIONS[COMPARED[name]], block)
+    return _truth(c, COMPARISONS[COMPARED[name]], block)
 
 
 def _compare_to(c: Asked, wanted: float) -> Made:
@@ -250,7 +236,7 @@ def _compare_to(c: Asked, wanted: float) -> Made:
         raise NotTranslated(f"a comparison of {c.inputs[0]} with {wanted:g} is not translated")
     library = kind in ("real", *WORDS)
     block = (lambda: CompareToConstant(operation, wanted, kind, c.width)) if library else None
-    return _truth(c, lambda u: _OPERATIONS[operation](u, wanted), block)
+    return _truth(c, lambda u: COMPARISONS[operation](u, wanted), block)
 
 
 # --- bits

@@ -24,7 +24,6 @@ from twodof.blocks.expressions.numbers import KINDS, STORED
 from twodof.blocks.library import Atan2 as Atan2Block
 from twodof.blocks.library import (
     BusSelect,
-    CompareToConstant,
     Concatenate,
     Constant,
     DeadZone,
@@ -219,42 +218,36 @@ def _switch(c: Asked) -> Made:
     first, control, third = c.inputs
     if isinstance(control.kind, Bus):
         raise NotTranslated(f"its control is {control}")
-    criterion = c.needs("Criteria", "u2 >= Threshold", "u2 >= Threshold", "u2 > Threshold", "u2 ~= 0")
-    compare = {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="}[criterion]
-    threshold = 0.0 if criterion == "u2 ~= 0" else c.scalar("Threshold", "0")
-    kind = widest([first, third])
+    compare = c.pick("Criteria", "u2 >= Threshold", {"u2 >= Threshold": ">=", "u2 > Threshold": ">", "u2 ~= 0": "!="})
+    threshold = 0.0 if compare == "!=" else c.scalar("Threshold", "0")
+    if control.kind not in ("real", "bool") and not threshold.is_integer():
+        threshold = math.floor(threshold + 0.5)
+        c.notes.append(f"Threshold is rounded to {threshold}, as the control is {control}")
+    kind, exact = widest([first, third]), "real" if control.kind == "real" else "float64"
+
+    def holds(t: Any, u: Any) -> Any:
+        return COMPARISONS[compare](convert(u, exact), float(threshold))
+
     if control.width is not None:  # each element has its own
-        of, exact, number = COMPARISONS[compare], "real" if control.kind == "real" else "float64", Signal(kind).number
-        return formula(
-            c,
-            lambda t, a, u, b: where(of(convert(u, exact), threshold), convert(a, number), convert(b, number)),
-            number,
-        )
+        number = Signal(kind).number
+        return formula(c, lambda t, a, u, b: where(holds(t, u), convert(a, number), convert(b, number)), number)
     c.inputs = [first, third]
     d, width = Diagram("switch"), c.width
-    d.input("u1", first.kind, first.width)
-    condition = d.input("u2", control.kind)
-    d.input("u3", third.kind, third.width)
-    if control.kind == "bool":
-        low, high = (COMPARISONS[compare](value, threshold) for value in (0.0, 1.0))
-        if low == high:  # whatever the control is
-            condition = d.add("condition", Constant(high, "bool"))
-    else:
-        if control.kind != "real" and not threshold.is_integer():
-            threshold = math.floor(threshold + 0.5)
-            c.notes.append(f"Threshold is rounded to {threshold}, as the control is {control}")
-        condition = d.add("condition", CompareToConstant(compare, threshold, control.kind), u="u2")
+    for name, one in (("u1", first), ("u2", control), ("u3", third)):
+        d.input(name, one.kind, one.width)
+    d.add("condition", Formula(holds, [control], Signal("bool")), u1="u2")
     chosen = {port: expanded(d, name, one, width, kind) for port, name, one in (("a", "u1", first), ("b", "u3", third))}
-    d.add("y", Switch(kind, width), inputs={"condition": condition, **chosen})
-    d.output("y", "y")
+    d.output("y", d.add("y", Switch(kind, width), inputs={"condition": "condition", **chosen}))
     return Made(d, [Signal(kind, width)])
 
 
 def _function(c: Asked) -> Made:
     """Compute a function of one number or of two; those of angles and powers by the language's own definitions."""
-    c.kind("real")
     functions = FUNCTIONS[c.block.type]
     name = c.text("Operator", c.text("Function", next(iter(functions))))
+    if name in ("transpose", "hermitian"):
+        return matrix(c, MATRIX_LINES["Math"])
+    c.kind("real")
     if name not in functions:
         raise NotTranslated(f"Operator = {name!r} is not translated")
     if c.block.type == "Trigonometry" or name in ("pow", "hypot", "log10"):
@@ -394,6 +387,7 @@ TAKES_SMALL = (
 _BY_ELEMENTS = ("DiscreteIntegrator", "Integrator", "DataTypeConversion", "MultiPortSwitch", "RelationalOperator",
                 "Rounding", "Signum", "Sqrt", "Switch", "Trigonometry")  # fmt: skip
 """Types that take matrices element by element, and have no parameter of an element's own."""
+_TAKES_ROWS = ("Math", "Reshape", "Selector", *DROPPED)
 TAKES_MATRICES = ("BusAssignment", "BusCreator", *_BY_ELEMENTS, *MATRIX_LINES, *DROPPED)
 
 
@@ -402,41 +396,52 @@ def carried_out(c: Asked, rule: Rule) -> Made:
 
     Raises NotTranslated if the block does not take one of the signals.
     """
-    kind = c.block.kind
+    kind, matrices = c.block.kind, [one.shape for one in c.inputs if one.shape is not None]
+    if kind in RULES and kind not in _TAKES_ROWS and matrices and all(one[0] == 1 for one in matrices):
+        if c.text("Multiplication")[:6] != "Matrix" and c.text("Mode")[:5] != "Multi":
+            return _of_columns(c, rule)
     for one in c.inputs if kind in RULES else ():
         small = one.kind in STORED and kind not in TAKES_SMALL
         if small or (one.shape is not None and kind not in TAKES_MATRICES):
             raise NotTranslated(f"an input that is {one} is not translated")
     if kind in RULES and kind not in TAKES_BUSES and any(isinstance(one.kind, Bus) for one in c.inputs):
         return _of_vectors(c, rule)
-    if kind in _BY_ELEMENTS and any(one.shape is not None for one in c.inputs):
+    if kind in _BY_ELEMENTS and matrices:
         return _of_columns(c, rule)
     return matrix(c, MATRIX_LINES[kind]) if makes_matrix(c) else rule(c)
 
 
 def _of_columns(c: Asked, rule: Rule) -> Made:
-    """Return the block of a rule for matrices of one size and scalars: the columns, one after another, are a vector."""
+    """Return the block of a rule for matrices of one size and scalars: the columns, one after another, are a vector.
+
+    A row beside another size, or whose block does not go by elements, is a vector.
+    """
     shape = next(one.shape for one in c.inputs if one.shape is not None)
-    if any(one.shape != shape and one.width is not None for one in c.inputs):
+    alike = all(one.shape == shape or one.width is None for one in c.inputs)
+    if not alike and shape[0] > 1:
         raise NotTranslated("a matrix beside another size is not translated")
-    d, size, sources = Diagram("of_columns"), [shape[0] * shape[1]], list[str]()
+    d, sources = Diagram("of_columns"), list[str]()
     for k, one in enumerate(c.inputs, start=1):
         sources.append(d.input(f"u{k}", one.kind, one.width if one.shape is None else None, shape=one.shape))
         if one.shape is not None:
-            sources[-1] = d.add(f"vector{k}", Reshape(shape, size, one.number), u=f"u{k}")
+            sources[-1] = d.add(f"vector{k}", Reshape(one.shape, [one.width or 1], one.number), u=f"u{k}")
     made = rule(replace(c, inputs=[replace(one, shape=None) for one in c.inputs]))
     if made.item is None:
         return Made(None, [replace(one, shape=shape) for one in made.outputs])
-    if len(made.outputs) > 1:
+    if len(made.outputs) > 1 and shape[0] > 1:
         raise NotTranslated("a second output of a matrix is not translated")
     ports = list(made.item.inputs.values()) if isinstance(made.item, Diagram) else made.item.inputs
     for k, (port, one) in enumerate(zip(ports, c.inputs, strict=True)):
         sources[k] = expanded(d, sources[k], one, port.width) if one.width is None else sources[k]
     d.add("of", made.item, inputs=dict(zip(names_of(made.item), sources, strict=True)))
-    result = replace(made.outputs[0], shape=shape)
-    back = Reshape(size, shape, result.number)
-    d.output("y", d.add("y", back, u=f"of.{names_of(made.item, outputs=True)[0]}"))
-    return Made(d, [result])
+    names, width = names_of(made.item, outputs=True), shape[0] * shape[1]
+    if not alike or c.block.kind not in (*_BY_ELEMENTS, *MATRIX_LINES) or made.outputs[0].width != width:
+        for name in names:
+            d.output(name, f"of.{name}")
+        return Made(d, made.outputs)
+    back = Reshape([width], shape, made.outputs[0].number)
+    d.output("y", d.add("y", back, u=f"of.{names[0]}"))
+    return Made(d, [replace(made.outputs[0], shape=shape)])
 
 
 def _of_vectors(c: Asked, rule: Rule) -> Made:

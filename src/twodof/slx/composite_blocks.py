@@ -19,14 +19,7 @@ from twodof.blocks.elementwise import elementwise, search
 from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, int32, to_int32, to_real, to_uint32, where
 from twodof.blocks.expressions.numbers import INTEGERS
-from twodof.blocks.library import (
-    Gain,
-    MultiportSwitch,
-    Noise,
-    Polynomial,
-    Ramp,
-    UniformNoise,
-)
+from twodof.blocks.library import Gain, MultiportSwitch, Noise, Polynomial, Ramp, UniformNoise
 from twodof.errors import DiagramError
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
@@ -153,7 +146,8 @@ def _rate_limiter_dynamic(c: Asked) -> Made:
     return formula(c, limited, x=(0.0, limited))
 
 
-def _friction(c: Asked, offset: float, gain: float) -> Made:
+def _friction(c: Asked) -> Made:
+    offset, gain = c.scalar("offset", "[1 3 2 0]"), c.scalar("gain", "1")
     return formula(c, lambda t, u: where(u > 0.0, 1.0, where(u < 0.0, -1.0, 0.0)) * (gain * abs(u) + offset))
 
 
@@ -449,12 +443,8 @@ def _lookup(c: Asked) -> Made:
     }
     method = c.pick("InterpMethod", "Linear point-slope", methods | {"Flat": "flat", "Nearest": "nearest"})
     clip = c.pick("ExtrapMethod", "Linear", {"Clip": True, "None - Clip": True, "Linear": False})
-    count = int(c.scalar("NumberOfTableDimensions", "2"))
-    table, points = c.value("Table", "[4 5 6;16 19 20;10 18 23]"), []
-    sizes = [table.size] if count == 1 else list(table.shape)
-    if count > 2 or len(c.inputs) != count:
-        raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
-    steps: list[float] = []
+    table, sizes = _sized_table(c)
+    points, steps = list[list[float]](), list[float]()
     for k, size in enumerate(sizes, start=1):
         if c.text("BreakpointsSpecification", "Explicit values") == "Even spacing":
             first, step = (c.scalar(f"BreakpointsForDimension{k}{end}", "1") for end in ("FirstPoint", "Spacing"))
@@ -464,19 +454,24 @@ def _lookup(c: Asked) -> Made:
             points.append(c.value(f"BreakpointsForDimension{k}", "[10,22,31]").flatten().tolist())
             steps += [0.0] * (c.text("IndexSearchMethod", "") == "Evenly spaced points")
     last = clip and c.text("UseLastTableValue", "off") == "on"
-    return _table(c, points, table.flatten(order="F").tolist(), method, clip, steps, last)
+    return _table(c, points, table, method, clip, steps, last)
+
+
+def _sized_table(c: Asked) -> tuple[np.ndarray[Any, Any], list[int]]:
+    """Return a table of as many dimensions as there are inputs, and its sizes."""
+    count, table = int(c.scalar("NumberOfTableDimensions", "2")), c.value("Table", "[4 5 6;16 19 20;10 18 23]")
+    if count > 2 or len(c.inputs) != count:
+        raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
+    return table, [table.size] if count == 1 else list(table.shape)
 
 
 def _direct_lookup(c: Asked) -> Made:
     """Return the element of a table whose places, from 0, are the inputs; the nearest one outside."""
-    count, table = int(c.scalar("NumberOfTableDimensions", "2")), c.value("Table", "[4 5 6;16 19 20;10 18 23]")
     c.only(InputsSelectThisObjectFromTable="Element", TableIsInput="off")
-    sizes = [table.size] if count == 1 else list(table.shape)
-    if len(sizes) != count or len(c.inputs) != count:
-        raise NotTranslated(f"a table of {count} dimensions with {len(c.inputs)} inputs is not translated")
+    table, sizes = _sized_table(c)
     c.values["OutDataTypeStr"] = "single" if table.dtype == np.float32 else "double"
     points = [[float(k) for k in range(size)] for size in sizes]
-    return _table(c, points, table.flatten(order="F").tolist(), "flat", True)
+    return _table(c, points, table, "flat", True)
 
 
 def _older_lookup(c: Asked) -> Made:
@@ -487,20 +482,20 @@ def _older_lookup(c: Asked) -> Made:
     flat = len(names) == 1
     table = c.value("OutputValues" if "OutputValues" in c.values else "Table", "tanh([-4:5])" if flat else "[0 0;0 0]")
     points = [c.value(name, "[-4:5]" if flat else "[0 1]").flatten().tolist() for name in names]
-    return _table(c, points, table.flatten(order="F").tolist(), method, clip)
+    return _table(c, points, table, method, clip)
 
 
 _REALS = ("double", "single")
 
 
-def _table(c: Asked, points: list[list[float]], table: list[float], method: str, clip: bool, *even: Any) -> Made:
-    if math.prod(map(len, points)) != len(table) or min(map(len, points)) < 2:
+def _table(c: Asked, points: list[list[float]], table: Any, method: str, clip: bool, *even: Any) -> Made:
+    if math.prod(map(len, points)) != table.size or min(map(len, points)) < 2:
         raise NotTranslated("Table and breakpoints differ in size, or have one point")
     if any(sorted(set(one)) != one for one in points):
         raise NotTranslated("breakpoints do not increase")
     if c.width is not None:
         raise NotTranslated("a table of a vector is not translated")
-    d, block = Diagram("table"), LookupTable(points, [float(v) for v in table], method, clip, *even)
+    d, block = Diagram("table"), LookupTable(points, table.flatten("F").astype(float).tolist(), method, clip, *even)
     if all(one.kind == "real" for one in c.inputs):
         return Made(block)
     if c.inputs[0].kind != "real" and c.text("OutDataTypeStr", "Inherit: Same as first input") not in _REALS:
@@ -533,9 +528,7 @@ COMPOSITE_RULES: dict[str, Rule] = {
     "Band-Limited White Noise": _noise(
         Noise, ("seed", "[23341]"), ("Cov", "[0.1]"), ("Ts", "0.1"), of=lambda cov, ts: (math.sqrt(cov / ts), 0.0)
     ),
-    "Coulomb & Viscous Friction": each(
-        lambda c: _friction(c, c.scalar("offset", "[1 3 2 0]"), c.scalar("gain", "1")), "offset", "gain"
-    ),
+    "Coulomb & Viscous Friction": each(_friction, "offset", "gain"),
     "Counter Free-Running": _counter,
     "Counter Limited": _counter,
     "Dead Zone Dynamic": _one_input(lambda up, u, low: where(u > up, u - up, where(u < low, u - low, 0.0))),

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from twodof.slx.model import Model, Pin, SimulinkBlock, SimulinkChart, System, below, collapsed
+from twodof.slx.model import Model, Pin, SimulinkBlock, SimulinkChart, System, below, collapsed, split_path
 
 _LOOKS = re.compile(
     "Position|ZOrder|Location|Font|.*Color|Orientation|Block(Mirror|Rotation)|NamePlacement|NameLocation|ShowName"
@@ -65,17 +65,13 @@ def difference(before: Model, after: Model) -> ModelDifference:
 
 
 def _moved_along(was: str, path: str, renames: Mapping[str, str]) -> bool:
-    above, now = _split(was), _split(path)
+    above, now = split_path(was), split_path(path)
     return above[-1] == now[-1] and len(above) > 1 and renames.get("/".join(above[:-1])) == "/".join(now[:-1])
-
-
-def _split(path: str) -> list[str]:
-    return re.split(r"(?<!/)/(?!/)", path)
 
 
 def _outermost(blocks: Mapping[str, SimulinkBlock]) -> list[tuple[str, str]]:
     """Return paths and kinds, without the blocks inside a listed subsystem."""
-    return [(path, block.kind) for path, block in blocks.items() if "/".join(_split(path)[:-1]) not in blocks]
+    return [(path, block.kind) for path, block in blocks.items() if "/".join(split_path(path)[:-1]) not in blocks]
 
 
 def _compare(old: SimulinkBlock, new: SimulinkBlock, path: str, found: ModelDifference) -> None:
@@ -122,7 +118,7 @@ def _wires(path: str, system: System, pairs: Mapping[str, str]) -> Iterator[tupl
     def end(pin: Pin) -> str:
         block = system.blocks.get(pin.sid)
         name = below(path, block) if block is not None else pin.sid
-        short = _split(pairs.get(name, name))[-1]
+        short = split_path(pairs.get(name, name))[-1]
         return short if (pin.kind in ("in", "out") and pin.number == 1) else f"{short}:{_port(pin)}"
 
     for line in system.lines:

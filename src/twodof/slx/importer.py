@@ -59,6 +59,7 @@ from twodof.slx.model import (
     escaped,
     read_model,
     source_file,
+    split_path,
 )
 from twodof.slx.network import with_solved_loops
 from twodof.slx.precision import ROUTES, precise
@@ -136,7 +137,7 @@ class _Import(Wiring):
         self.times: dict[tuple[str, str], tuple[float, float]] = {}
         self.taken: dict[tuple[str, str], str] = {}
         """Data types that blocks take from behind, where a pass saw them too late."""
-        self.code = {collapsed(one.path): one for one in model.charts}
+        self.code = {one.path: one for one in model.charts}
 
     def _names_of(self, model: Model) -> dict[str, Value]:
         """Return the names that a model's dictionary and callbacks give."""
@@ -179,7 +180,7 @@ class _Import(Wiring):
     def _names_at(self, path: str) -> dict[str, Value]:
         """Return the names that a system's blocks may use: those of the masks around it win."""
         names, at = dict(self.names), ""
-        for part in re.split(r"(?<!/)/(?!/)", path) if path else []:
+        for part in split_path(path) if path else []:
             block = next(b for b in self.model.system(at).blocks.values() if escaped(b.name) == part)
             names = self._inside(block, {}, names)
             at = f"{at}/{part}".lstrip("/")
@@ -330,9 +331,8 @@ class _Import(Wiring):
     def _take_code(self, library: str, inside: str, at: str) -> None:
         """Let the MATLAB Functions and charts of a library's block be those of the block at a path."""
         for one in self._file(library).charts:
-            path = collapsed(one.path)
-            if f"{path}/".startswith(f"{inside}/".lstrip("/")):
-                self.code[f"{at}/{path[len(inside) :].lstrip('/')}".strip("/")] = one
+            if f"{one.path}/".startswith(f"{inside}/".lstrip("/")):
+                self.code[f"{at}/{one.path[len(inside) :].lstrip('/')}".strip("/")] = one
 
     def _period(self) -> float:
         """Return the base period [s], and note the blocks' own times. Raises DiagramError where there is none."""

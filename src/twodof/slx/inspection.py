@@ -174,7 +174,7 @@ class _Names:
         self.found: dict[str, list[str]] = {}
         self.files = {one.name: one for one in files}
         self.library_blocks = {f"{one.name}/{path}": block for one in files for path, block in one.blocks()}
-        self.arguments = {(one.name, collapsed(chart.path)): _arguments(chart) for one in (model, *files)
+        self.arguments = {(one.name, chart.path): _arguments(chart) for one in (model, *files)
                           for chart in one.charts}  # fmt: skip
         self._walk(model.root, "", (model.name, ""), _assigned(model) | {*outside} | _MATLAB, 0)
 

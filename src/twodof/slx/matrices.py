@@ -1,7 +1,6 @@
 """Matrix operations of Simulink: each is a line of MATLAB on the inputs u1, u2, ..., carried out on signals.
 
-A vector of Simulink is a column here, and so is a row: what needs a row's sizes is refused. Products are summed from
-left to right, as MathWorks' C does it.
+A vector of Simulink is a column here. Products are summed from left to right, as MathWorks' C does it.
 """
 
 import re
@@ -13,6 +12,7 @@ import numpy as np
 
 from twodof.blocks.bus import Bus
 from twodof.blocks.expressions.numbers import KINDS
+from twodof.slx.data_types import SINGLE
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.values import Value
 from twodof.slx.translation import Asked, Made, NotTranslated, signs
@@ -21,6 +21,8 @@ _BETWEEN = re.compile(r",(?![^\[(]*[\])])")
 """A comma between expressions, outside brackets."""
 MOST_PLACES = 10_000
 """Most pairs of an element and a place that a signal says."""
+_ACROSS = ("Concatenate", "Gain", "Math", "Product")
+"""Blocks whose rows stay rows, which the next product of matrices reads; to most other blocks they are vectors."""
 Line = Callable[[Asked], tuple[str, dict[str, Value]]]
 """What a block is in MATLAB: statements that give y, and values that they use by name."""
 
@@ -36,6 +38,8 @@ def matrix(c: Asked, line: Line) -> Made:
     names = [f"u{k}" for k in range(1, len(c.inputs) + 1)]
     code = f"function y = f({', '.join([*names, *values])})\n{text}"
     item = MatlabFunction(code, c.inputs, values, names)
+    if item.rows and c.block.type in _ACROSS and SINGLE not in c.names:
+        item.outputs = [replace(one, shape=(1, one.width or 1)) for one in item.outputs]
     return Made(item)
 
 

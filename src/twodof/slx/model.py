@@ -210,6 +210,11 @@ def collapsed(name: str) -> str:
     return " ".join(name.split())
 
 
+def split_path(path: str) -> list[str]:
+    """Return the names in a path, in which a slash of a name is doubled."""
+    return re.split(r"(?<!/)/(?!/)", path)
+
+
 def below(path: str, block: SimulinkBlock) -> str:
     """Return the path of a block in the system at `path`, "" for the top."""
     return f"{path}/{escaped(block.name)}".lstrip("/")
@@ -230,7 +235,7 @@ def read_model(path: str | Path) -> Model:
     except LogError as reason:
         remedy = "give a .slx or .mdl file; open a damaged one in Simulink and save it again"
         raise DiagramError(reason.what, reason.where, remedy) from reason
-    charts = [SimulinkChart(*one) for one in plain.pop("charts")]
+    charts = [SimulinkChart("/".join(map(collapsed, split_path(path))), *one) for path, *one in plain.pop("charts")]
     model = Model(name=Path(path).stem, root=_system(plain.pop("root")), charts=charts, **plain)
     for _, block in model.blocks():  # a link of a library into itself
         source = block.values.get("SourceBlock", "")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from html import escape
 
 from twodof.drawing.text_width import shortened, text_width
-from twodof.slx.model import CODED, Line, Model, Pin, SimulinkBlock, System, Wire, below, collapsed
+from twodof.slx.model import CODED, Line, Model, Pin, SimulinkBlock, System, Wire, below, collapsed, split_path
 
 Point = tuple[float, float]
 Rectangle = tuple[float, float, float, float]
@@ -278,7 +278,7 @@ def _arrow(before: Point, end: Point) -> str:
 
 
 def _parent(path: str) -> str:
-    return "/".join(re.split(r"(?<!/)/(?!/)", path)[:-1])
+    return "/".join(split_path(path)[:-1])
 
 
 def _text(text: str) -> str:

@@ -16,7 +16,7 @@ from twodof.slx.connections import PASSING, Connections, Output, store_name
 from twodof.slx.data_types import signal_of, value_of
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array, number
-from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number
+from twodof.slx.model import Pin, SimulinkBlock, System, below, collapsed, escaped, port_number, split_path
 from twodof.slx.network import Iterated
 from twodof.slx.translation import Asked, Made, NotTranslated, Signal, expanded, names_of, plain
 
@@ -26,7 +26,7 @@ class Wiring(Connections):
 
     def _diagram(self, path: str) -> Diagram:
         system = self.sheets[path].system
-        title = re.split(r"(?<!/)/(?!/)", path)[-1] if path else self.model.name
+        title = split_path(path)[-1] if path else self.model.name
         diagram = Diagram(safe(title, set()), f"{self.model.name}/{path}".rstrip("/"))
         names = self.sheets[path].parts
         self.sheets[path].diagram = diagram

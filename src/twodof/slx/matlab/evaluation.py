@@ -7,6 +7,7 @@ Values are numpy arrays of two dimensions (float64, float32, whole numbers, bool
 `str` for text, `dict` for a structure and `list` for a cell array.
 """
 
+import io
 import math
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
@@ -45,6 +46,14 @@ def script_text(data: bytes, where: str) -> fence.Answer:
         return data.decode("utf-8-sig"), []
     except UnicodeDecodeError:
         return data.decode("latin-1"), []
+
+
+def table_values(data: bytes, where: str) -> fence.Answer:
+    """Return the numbers of a table (.csv) behind the fence, without its head; NaN for what is no number."""
+    numbers = np.genfromtxt(io.StringIO(script_text(data, where)[0]), delimiter=",", invalid_raise=False, loose=True)
+    rows = np.atleast_2d(numbers)
+    rows = rows[1:] if rows.size and np.isnan(rows[0]).all() else rows
+    return list(rows.shape), [rows.astype(float).flatten()]
 
 
 @dataclass

@@ -22,7 +22,8 @@ from twodof.blocks.namespaces import BusView, Inputs, States
 from twodof.blocks.trace import leaves_of, matrices, with_matrices
 from twodof.errors import DiagramError
 from twodof.slx.matlab.evaluation import Evaluation
-from twodof.slx.matlab.program import Code, call, chosen
+from twodof.slx.matlab.program import Code, call
+from twodof.slx.matlab.signals import chosen
 from twodof.slx.matlab.values import (
     Array,
     Members,
@@ -125,9 +126,9 @@ class MatlabFunction(Block):
                 raise NotComputed(f"the persistent {name.split('.')[1]} changes its size or class")
         results = self._computed(u, x)[0]
         self.outputs = [_declared(name, value) for name, value in results.items()]
-        rows = [name for name, value in results.items() if value.shape[0] == 1 < value.size]
+        self.rows = [name for name, value in results.items() if value.shape[0] == 1 < value.size]
         self.code.notes += [
-            f"the row {name} is a vector, which other MATLAB Functions see as a column" for name in rows
+            f"the row {name} is a vector, which other MATLAB Functions see as a column" for name in self.rows
         ]
 
     def _called(self, u: Any, kept: Names) -> tuple[Names, Names]:

@@ -1,8 +1,8 @@
 """Functions of signals in MATLAB's language: of MATLAB itself, and of its toolboxes on rotations and quaternions.
 
 Sums are from the left, and systems are solved by elimination with partial pivoting. `refused` says why a function is
-not translated. A factor by Cholesky is NaN where the matrix is
-not positive definite, for which MATLAB stops. Sorting is by merging exchanges (Knuth, vol. 3, 5.2.2, algorithm M).
+not translated. A factor by Cholesky is NaN where the matrix is not positive definite, for which MATLAB stops. Sorting
+is by merging exchanges (Knuth, vol. 3, 5.2.2, algorithm M).
 
 A quaternion is a row [w x y z], and a product of two is Hamilton's. Angles turn about the axes of a sequence, each
 about an axis that the turns before it have moved. Source: reference pages of Aerospace and Robotics System Toolbox.
@@ -19,6 +19,23 @@ LIBRARY = {
     s = v;
     if ~isnumeric(v), s = double(v); end
     for k = 2:numel(v), s(k) = s(k - 1) + v(k); end""",
+    "filter": """
+    function y = filter(b, a, x)
+    if numel(a) > 1, refused('a filter with poles is not translated'); end
+    n = numel(x); y = 0 * x;
+    for k = min(numel(b), n):-1:1, y(k:n) = y(k:n) + b(k) / a * x(1:n - k + 1); end""",
+    "unique": """
+    function [c, ia, ic] = unique(v)
+    s = sort(v(:)); c = s(1); ic = zeros(numel(v), 1);
+    for k = 2:numel(s), if s(k) ~= s(k - 1), c = [c; s(k)]; end, end
+    ia = zeros(size(c));
+    for k = numel(v):-1:1, ic(k) = sum(c < v(k)) + 1; ia(ic(k)) = k; end
+    if size(v, 1) == 1, c = c'; end""",
+    "accumarray": """
+    function y = accumarray(at, v, whole, of)
+    y = zeros(max(at), 1);
+    if nargin < 4, of = @sum; end
+    for k = 1:numel(y), if any(at == k), y(k) = of(v(at == k)); end, end""",
     "cross": """
     function c = cross(a, b)
     if numel(a) ~= 3 || numel(b) ~= 3, refused('cross takes vectors of 3'); end
@@ -145,23 +162,20 @@ LIBRARY = {
     if nargin > 1 && ~strcmp(seq, 'ZYX'), q = quat2eul_of_another_sequence(q); end
     q = quatnormalize(q); w = q(1); x = q(2); y = q(3); z = q(4);
     e = [atan2(2 * (x * y + w * z), w^2 + x^2 - y^2 - z^2), asin(min(max(-2 * (x * z - w * y), -1), 1)), ...
-         atan2(2 * (y * z + w * x), w^2 - x^2 - y^2 + z^2)];
-    """,
+         atan2(2 * (y * z + w * x), w^2 - x^2 - y^2 + z^2)];""",
     "quat2rotm": """
     function R = quat2rotm(q)
     q = quatnormalize(q); w = q(1); x = q(2); y = q(3); z = q(4);
     R = [1 - 2 * (y^2 + z^2), 2 * (x * y - w * z), 2 * (x * z + w * y);
          2 * (x * y + w * z), 1 - 2 * (x^2 + z^2), 2 * (y * z - w * x);
-         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x^2 + y^2)];
-    """,
+         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x^2 + y^2)];""",
     "quatmultiply": """
     function p = quatmultiply(q, r)
     if nargin < 2, r = q; end
     p = [q(:, 1) .* r(:, 1) - q(:, 2) .* r(:, 2) - q(:, 3) .* r(:, 3) - q(:, 4) .* r(:, 4), ...
          q(:, 1) .* r(:, 2) + q(:, 2) .* r(:, 1) + q(:, 3) .* r(:, 4) - q(:, 4) .* r(:, 3), ...
          q(:, 1) .* r(:, 3) - q(:, 2) .* r(:, 4) + q(:, 3) .* r(:, 1) + q(:, 4) .* r(:, 2), ...
-         q(:, 1) .* r(:, 4) + q(:, 2) .* r(:, 3) - q(:, 3) .* r(:, 2) + q(:, 4) .* r(:, 1)];
-    """,
+         q(:, 1) .* r(:, 4) + q(:, 2) .* r(:, 3) - q(:, 3) .* r(:, 2) + q(:, 4) .* r(:, 1)];""",
     "quatconj": "function p = quatconj(q)\np = [q(:, 1), -q(:, 2:4)];",
     "quatnorm": "function n = quatnorm(q)\nn = sum(q .^ 2, 2);",
     "quatmod": "function n = quatmod(q)\nn = sqrt(sum(q .^ 2, 2));",
@@ -169,15 +183,7 @@ LIBRARY = {
     "quatinv": "function p = quatinv(q)\np = [q(:, 1), -q(:, 2:4)] ./ sum(q .^ 2, 2);",
     "quatrotate": "function r = quatrotate(q, v)\nr = v * quat2rotm(q);",
     "quat2dcm": "function C = quat2dcm(q)\nC = quat2rotm(q)';",
-    "angle2dcm": """
-    function C = angle2dcm(a, b, c, seq)
-    if nargin < 4, seq = 'ZYX'; end
-    C = eul2rotm([a, b, c], seq)';
-    """,
-    "angle2quat": """
-    function q = angle2quat(a, b, c, seq)
-    if nargin < 4, seq = 'ZYX'; end
-    q = eul2quat([a, b, c], seq);
-    """,
+    "angle2dcm": "function C = angle2dcm(a, b, c, seq)\nif nargin < 4, seq = 'ZYX'; end\nC = eul2rotm([a b c], seq)';",
+    "angle2quat": "function q = angle2quat(a, b, c, seq)\nif nargin < 4, seq = 'ZYX'; end\nq = eul2quat([a b c], seq);",
 }  # fmt: skip
 """Code of each function by its name."""

@@ -31,7 +31,8 @@ OPENING = {"if", "for", "parfor", "while", "switch", "try"}
 """Words that begin a statement with blocks in it."""
 _CLAUSES = ("elseif", "else", "case", "otherwise", "catch")
 _WORDS = {*OPENING, *_CLAUSES, "function", "end"}
-SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold"}
+SILENT = {"clear", "clc", "close", "format", "warning", "clearvars", "disp", "fprintf", "tic", "toc", "figure", "hold",
+          "plot", "subplot", "xlabel", "ylabel", "title", "legend", "grid"}  # fmt: skip
 """Statements that change no value: skipped without a word."""
 _SILENT = {"assert", "error", "pause", "drawnow", "eml.extrinsic", "eml.inline"} | {
     f"coder.{name}" for name in ("inline", "extrinsic", "allowpcode", "varsize", "unroll", "cstructname", "cinclude")
@@ -217,7 +218,7 @@ class MatlabParser:
             return self._unary()
         parts, operators = [self._binary(level + 1)], _BINARY[level]
         if operators == (":",):
-            if self.here.text == ":" and self.tokens[self.at + 1].text not in (")", ","):
+            if self.here.text == ":" and self.tokens[self.at + 1].text not in (")", "}", ","):
                 while len(parts) < 3 and self.skip(":"):
                     parts.append(self._binary(level + 1))
             return parts[0] if len(parts) == 1 else Tree("range", parts=tuple(parts))
@@ -257,15 +258,8 @@ class MatlabParser:
         parts = [self._primary()]
         while self.here.kind == "operator":
             apart = self.matrix and self.here.spaced
-            if self.here.text == "(" and not apart:
-                parts.append(Tree("(", parts=self._arguments()))
-            elif self.here.text == "{" and not apart:
-                self.at += 1
-                index = [self.expression()]
-                while self.skip(","):
-                    index.append(self.expression())
-                parts.append(Tree("{", parts=tuple(index)))
-                self.need("}")
+            if self.here.text in ("(", "{") and not apart:
+                parts.append(Tree(self.here.text, parts=self._arguments(")" if self.here.text == "(" else "}")))
             elif self.here.text == "." and self.tokens[self.at + 1].kind == "name":
                 self.at += 1
                 parts.append(Tree(".", self.taken()))
@@ -308,15 +302,15 @@ class MatlabParser:
                 rows[-1].append(self.expression())
         return Tree("rows", bracket, tuple(Tree("row", parts=tuple(row)) for row in rows))
 
-    def _arguments(self) -> tuple[Tree, ...]:
+    def _arguments(self, close: str = ")") -> tuple[Tree, ...]:
         """Read the arguments in brackets; ":" alone is a literal."""
-        self.need("(")
+        self.at += 1
         matrix, self.matrix = self.matrix, False
         found = list[Tree]()
-        while not self.skip(")"):
-            alone = self.here.text == ":" and self.tokens[self.at + 1].text in (",", ")")
+        while not self.skip(close):
+            alone = self.here.text == ":" and self.tokens[self.at + 1].text in (",", close)
             found.append(Tree("literal", value=self.taken()) if alone else self.expression())
-            if self.here.text != ")":
+            if self.here.text != close:
                 self.need(",")
         self.matrix = matrix
         return tuple(found)

@@ -17,15 +17,14 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.bus import Bus
-from twodof.blocks.expressions.expr import where
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
-from twodof.slx.matlab.evaluation import Evaluation, range_of, script_text, signed
+from twodof.slx.matlab.evaluation import Evaluation, range_of, script_text, signed, table_values
 from twodof.slx.matlab.library import LIBRARY
 from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, MatlabParser, Tree, expression_of, tokens_of
+from twodof.slx.matlab.signals import chosen, truth, wrapped
 from twodof.slx.matlab.signals import in_c as operation_in_c
-from twodof.slx.matlab.signals import truth, wrapped
 from twodof.slx.matlab.values import (
     FUNCTIONS,
     MOST_ELEMENTS,
@@ -37,12 +36,10 @@ from twodof.slx.matlab.values import (
     as_array,
     class_of,
     converted,
-    filled,
     indexed,
     is_empty,
     is_signal,
     joined,
-    lifted,
     lowered,
     number,
     scalar,
@@ -50,6 +47,7 @@ from twodof.slx.matlab.values import (
 )
 
 DEEPEST_CALLS, MOST_TURNS = 20, 40
+_TABLE = re.compile(r"\w[\w. -]{0,100}\.csv")
 EMPTY = np.zeros((0, 0))
 IN_BASE = "base/."
 """What the names begin with under which names of the base workspace are kept between calls."""
@@ -126,6 +124,15 @@ class Code:
                 made.prefix = f"{name}/"
                 self.files[name] = made
         return self.files[name]
+
+    def table(self, name: Value) -> Array:
+        """Return the numbers of a .csv file in one of the folders. Raises NotComputed where there is none."""
+        candidates = [one / name for one in self.folders if isinstance(name, str) and _TABLE.fullmatch(name)]
+        try:
+            shape, (found,) = fence.read(table_values, next(filter(Path.is_file, candidates)))
+        except (StopIteration, LogError) as reason:
+            raise NotComputed(str(reason) or f"{name} is not found") from None
+        return found.reshape(shape)
 
 
 @cache
@@ -451,6 +458,8 @@ class Program:
                 return _of_kind(given[0], "int32", self.wraps)
             return value(self, given) if callable(value) else indexed(value, given)
         if step.kind == "{":
+            if isinstance(value, np.ndarray):  # a table
+                return indexed(value, self.arguments(step.parts, value))
             if not isinstance(value, Cells) or len(step.parts) > 2:
                 raise NotComputed("this is no cell array, or one of more than two dimensions")
             return value.cell(*(int(scalar(self.value(one))) for one in step.parts))
@@ -579,6 +588,8 @@ class Program:
         """Call a function of the program, or one of MATLAB's."""
         if name in ("evalin", "assignin") and len(arguments) > 1:
             return self._of_base(*arguments[:2], *arguments[2:3])
+        if name in ("readtable", "readmatrix", "csvread") and arguments:
+            return self.code.table(arguments[0])
         if name == "exist" and arguments:
             return np.array([[float(arguments[0] in self.evaluation.names)]])
         name, arguments = (arguments[0], arguments[1:]) if name == "feval" and arguments else (name, arguments)
@@ -670,24 +681,3 @@ def _of_kind(value: Value, kind: Any, wraps: bool | None) -> Value:
         if is_signal(array) or not np.array_equal(array.astype(kind), array):
             raise NotComputed(f"{class_of(array)} in {kind} has other rules in C")
     return value if kind is None or class_of(array) == kind else converted(array, kind)
-
-
-def chosen(condition: Any, a: Value, b: Value, name: str) -> Value:
-    """Return `a` where the condition holds, else `b`. Raises NotComputed for values of two classes or sizes."""
-    if a is b:
-        return a
-    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
-        return {key: chosen(condition, a[key], b[key], f"{name}.{key}") for key in a}
-    if not isinstance(a, np.ndarray) or not isinstance(b, np.ndarray):
-        if type(a) is type(b) and not isinstance(a, dict | list) and a == b:
-            return a
-        raise NotComputed(f"{name} has values in two branches that are not one class")
-    if a.shape != b.shape:
-        sizes = " and ".join(f"{one.shape[0]} by {one.shape[1]}" for one in (a, b))
-        raise NotComputed(f"{name} is {sizes} in two branches")
-    if not is_signal(a) and not is_signal(b) and a.dtype == b.dtype and a.tobytes() == b.tobytes():
-        return a
-    if class_of(a) != class_of(b):
-        raise NotComputed(f"{name} is {class_of(a)} and {class_of(b)} in two branches")
-    pairs = zip(lifted(a).flatten(order="F"), lifted(b).flatten(order="F"), strict=True)
-    return filled(a.shape, (one if one is other else where(condition, one, other) for one, other in pairs))

@@ -147,6 +147,27 @@ def truth(value: Value) -> Any:
     return reduce(and_, (cast(one, "bool") for one in array.flatten())) if array.size else False
 
 
+def chosen(condition: Any, a: Value, b: Value, name: str) -> Value:
+    """Return `a` where the condition holds, else `b`. Raises NotComputed for values of two classes or sizes."""
+    if a is b:
+        return a
+    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
+        return {key: chosen(condition, a[key], b[key], f"{name}.{key}") for key in a}
+    if not isinstance(a, np.ndarray) or not isinstance(b, np.ndarray):
+        if type(a) is type(b) and not isinstance(a, dict | list) and a == b:
+            return a
+        raise NotComputed(f"{name} has values in two branches that are not one class")
+    if a.shape != b.shape:
+        sizes = " and ".join(f"{one.shape[0]} by {one.shape[1]}" for one in (a, b))
+        raise NotComputed(f"{name} is {sizes} in two branches")
+    if not is_signal(a) and not is_signal(b) and a.dtype == b.dtype and a.tobytes() == b.tobytes():
+        return a
+    if class_of(a) != class_of(b):
+        raise NotComputed(f"{name} is {class_of(a)} and {class_of(b)} in two branches")
+    pairs = zip(lifted(a).flatten(order="F"), lifted(b).flatten(order="F"), strict=True)
+    return filled(a.shape, (one if one is other else where(condition, one, other) for one, other in pairs))
+
+
 def _both(compute: Elementwise) -> Callable[[Array, Array], Array]:
     return lambda a, b: filled((1, 1), [compute(truth(a), truth(b))])
 
@@ -198,10 +219,6 @@ OPERATORS |= {"whole /": _each(lambda a, b: cast(functions.trunc(_double(a) / _d
 
 
 # --- functions
-
-
-def _absolute(element: Any) -> Any:
-    return _arithmetic(abs)(element)
 
 
 def _rounded(compute: Elementwise) -> Elementwise:
@@ -422,7 +439,7 @@ _SHAPES = ("reshape", "transpose", "numel", "size", "length", "repmat", "diag", 
 SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     **{name: _each(_float(getattr(functions, name))) for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2",
        "tanh", "exp", "log", "hypot")},
-    "sqrt": _each(_float(sqrt)), "abs": _each(_absolute), "sign": _each(_arithmetic(_sign)),
+    "sqrt": _each(_float(sqrt)), "abs": _each(_arithmetic(abs)), "sign": _each(_arithmetic(_sign)),
     "floor": _each(_rounded(functions.floor)), "ceil": _each(_rounded(functions.ceil)),
     "fix": _each(_rounded(functions.trunc)), "round": _each(_rounded(functions.round_half_away)),
     "sinc": _each(_float(lambda x: where(x == 0.0, 1.0, functions.sin(math.pi * x) / (math.pi * x)))),

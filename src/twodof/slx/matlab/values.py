@@ -136,18 +136,10 @@ def _computed(function: Callable[[Array, Array], Array]) -> Callable[[Array, Arr
     return operate
 
 
-def _matrix_product(a: Array, b: Array) -> Array:
-    return a * b if a.size == 1 or b.size == 1 else a @ b
-
-
 def _left_division(a: Array, b: Array) -> Array:
     if a.size == 1:
         return b / a
     return np.linalg.solve(a, b) if a.shape[0] == a.shape[1] else np.linalg.lstsq(a, b, rcond=None)[0]
-
-
-def _right_division(a: Array, b: Array) -> Array:
-    return a / b if b.size == 1 else _left_division(b.T, a.T).T
 
 
 def _matrix_power(a: Array, b: Array) -> Array:
@@ -250,7 +242,8 @@ def stored(old: Value, steps: list[Any], value: Value) -> Value:
     grown = np.zeros(shape, array.dtype)
     grown[: array.shape[0], : array.shape[1]] = array
     try:
-        grown[np.ix_(rows, columns)] = new
+        vectors = 1 in (len(rows), len(columns)) and 1 in new.shape  # a row goes into a column, and the other way
+        grown[np.ix_(rows, columns)] = new.reshape(len(rows), len(columns)) if vectors and new.size > 1 else new
     except ValueError:
         raise NotComputed("what is assigned has another size") from None
     return grown
@@ -446,11 +439,6 @@ def _extreme(two: Callable[..., Any], one: Callable[..., Any]) -> Callable[..., 
     return lambda *v: _each(two)(*v) if len(v) == 2 else _reduced(one)(*v) if as_array(v[0]).size else as_array(v[0])
 
 
-def _eye(*sizes: Value) -> Array:
-    shape = _filled(0.0)(*sizes).shape
-    return np.eye(*shape)
-
-
 def _diag(value: Value) -> Array:
     array = as_array(value)
     return np.diag(array.flatten()) if 1 in array.shape else np.diag(array)[:, None]
@@ -473,14 +461,6 @@ def _struct(*pairs: Value) -> dict[str, Value]:
     if len(pairs) % 2 or not all(isinstance(name, str) for name in pairs[::2]):
         raise ValueError("takes names and values")
     return dict(zip(pairs[::2], pairs[1::2], strict=True))
-
-
-def _modulo(a: Array, b: Array) -> Array:
-    return np.where(b == 0, a, np.where(_whole(a, b), 0.0, np.mod(a, b)))
-
-
-def _remainder(a: Array, b: Array) -> Array:
-    return np.where(_whole(a, b), 0.0, np.fmod(a, b))
 
 
 def _whole(a: Array, b: Array) -> Array:
@@ -534,14 +514,11 @@ def _cast(kind: Any) -> Callable[[Value], Array]:
     return cast
 
 
-def _constant(value: float) -> Callable[..., Array]:
-    return _filled(value)
-
-
 OPERATORS: dict[str, Callable[[Array, Array], Array]] = {
     "+": _computed(np.add), "-": _computed(np.subtract), ".*": _computed(np.multiply), "./": _computed(np.divide),
-    ".\\": _computed(lambda a, b: b / a), "*": _computed(_matrix_product), "/": _computed(_right_division),
-    "\\": _computed(_left_division), ".^": _computed(_power),
+    ".\\": _computed(lambda a, b: b / a), "\\": _computed(_left_division),
+    "*": _computed(lambda a, b: a * b if 1 in (a.size, b.size) else a @ b),
+    "/": _computed(lambda a, b: a / b if b.size == 1 else _left_division(b.T, a.T).T), ".^": _computed(_power),
     "^": _computed(_matrix_power), "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal,
     "==": np.equal, "~=": np.not_equal, "!=": np.not_equal, "&": np.logical_and, "|": np.logical_or,
     "&&": lambda a, b: np.array([[bool(a.all()) and bool(b.all())]]),
@@ -550,17 +527,19 @@ OPERATORS: dict[str, Callable[[Array, Array], Array]] = {
 
 
 FUNCTIONS: dict[str, Callable[..., Value]] = {
-    "pi": _constant(math.pi), "inf": _constant(math.inf), "Inf": _constant(math.inf), "nan": _constant(math.nan),
-    "NaN": _constant(math.nan), "eps": _constant(float(np.finfo(float).eps)), "zeros": _filled(0.0),
-    "ones": _filled(1.0), "true": lambda *s: _filled(1.0)(*s).astype(bool), "eye": _eye,
-    "false": lambda *s: _filled(0.0)(*s).astype(bool), "realmax": _constant(float(np.finfo(float).max)),
-    "realmin": _constant(float(np.finfo(float).tiny)), "diag": _diag, "size": _size,
+    "pi": _filled(math.pi), "inf": _filled(math.inf), "Inf": _filled(math.inf), "nan": _filled(math.nan),
+    "NaN": _filled(math.nan), "eps": _filled(float(np.finfo(float).eps)), "zeros": _filled(0.0),
+    "ones": _filled(1.0), "true": lambda *s: _filled(1.0)(*s).astype(bool),
+    "eye": lambda *s: np.eye(*_filled(0.0)(*s).shape), "false": lambda *s: _filled(0.0)(*s).astype(bool),
+    "realmax": _filled(float(np.finfo(float).max)), "realmin": _filled(float(np.finfo(float).tiny)),
+    "diag": _diag, "size": _size,
     **{name: _each(getattr(np, name)) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor", "ceil",
        "sign", "hypot", "sinc")},
     "log2": _real(np.log2, 0.0), "log10": _real(np.log10, 0.0),
     "abs": _each(np.abs), "sqrt": _real(np.sqrt, 0.0), "log": _real(np.log, 0.0), "asin": _real(np.arcsin, -1.0, 1.0),
     "acos": _real(np.arccos, -1.0, 1.0), "atan": _each(np.arctan), "atan2": _each(np.arctan2), "fix": _each(np.trunc),
-    "round": _each(_round), "mod": _each(_modulo), "rem": _each(_remainder),
+    "round": _each(_round), "rem": _each(lambda a, b: np.where(_whole(a, b), 0.0, np.fmod(a, b))),
+    "mod": _each(lambda a, b: np.where(b == 0, a, np.where(_whole(a, b), 0.0, np.mod(a, b)))),
     "max": _extreme(np.maximum, np.max), "min": _extreme(np.minimum, np.min), "sum": _reduced(np.sum),
     "prod": _reduced(np.prod), "mean": _reduced(np.mean), "any": _reduced(np.any), "all": _reduced(np.all),
     "cumsum": lambda v: np.cumsum(as_array(v), axis=1 if as_array(v).shape[0] == 1 else 0),
