@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,8 @@ from tests.patience import PATIENCE_S, patiently
 from tests.web.conftest import OpenPage, axe, picture, readable
 from tests.web.lab_server import LabServer
 from tests.web.pilot import armed, flown, press
+from twodof.experiment.flight import Laboratory
+from twodof.flightlog.files import write_log
 
 pytestmark = pytest.mark.slow
 
@@ -181,6 +184,17 @@ def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage)
     expect(bar.get_by_role("alert")).to_contain_text("unstable within the uncertainty", timeout=LONG_MS)
     expect(bar).to_contain_text("0.0854 → 0.12")
     assert on_board(lab, "RATE_KD") == 0.0
+
+
+def test_steps_of_a_log_say_what_flew_them(lab: ServedLab, open_page: OpenPage) -> None:
+    log = Laboratory("paper").fly("attitude-steps").log
+    said = {**log.provenance, "flown": {"virtual": True, "controller": "my_pid"}}
+    path = lab.folder / "flights" / "2026-01-01-10-00-00-drone-1.mcap"
+    path.parent.mkdir(exist_ok=True)
+    write_log(replace(log, provenance=said), path)
+    page = open_page(link(lab))
+    expect(page.get_by_text(f"from {path.name}: rig paper (virtual), my_pid")).to_be_visible()
+    path.unlink()
 
 
 @pytest.fixture

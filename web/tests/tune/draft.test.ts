@@ -142,6 +142,9 @@ describe("a parameter of an own diagram", () => {
       [{ default: -3, value: -9 }, [-9, 0]],
       [{ default: 0, value: 0 }, [-1, 1]],
       [{ default: 3, value: 3, low: 1 }, [1, 6]],
+      [{ default: 0.001, value: 0.001, low: 0, high: 0.05 }, [0, 0.002]],
+      [{ default: 0.001, value: 0.01, low: 0, high: 0.05 }, [0, 0.01]],
+      [{ default: 1, value: 1, low: -1, high: 1 }, [-1, 1]],
     ] as const)
       expect(sliderEnds(own("k", { ...NONE, ...given }))).toEqual(ends);
   });

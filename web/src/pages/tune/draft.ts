@@ -56,8 +56,7 @@ export function grouped(
 /** Return the rows that contain every word of `text` in name, path, help or alias. */
 export function searched(rows: readonly ParameterRow[], text: string): ParameterRow[] {
   const words = text.toLowerCase().split(/\s+/).filter(Boolean);
-  const others = new Map<string, string>();
-  for (const row of rows) if (row.same_as !== "") others.set(row.same_as, row.name);
+  const others = new Map(rows.map((row) => [row.same_as, row.name]));
   return rows.filter((row) => {
     const said = `${row.name} ${row.path} ${row.text} ${groupOf(row)} ${others.get(row.name) ?? ""}`.toLowerCase();
     return words.every((word) => said.includes(word));
@@ -82,14 +81,16 @@ export const highOf = (row: ParameterRow) => (row.high === null || row.high > BO
 export const slides = (row: ParameterRow) =>
   row.tuning && row.kind === "float" && (row.path !== "" || Number.isFinite(highOf(row) - lowOf(row)));
 
-/** Return the ends of the slider: the bounds, or where there are none twice the default. */
+/** Return the ends of the slider: the bounds; without any, or with wide ones of a user's diagram, twice the default. */
 export function sliderEnds(row: ParameterRow): [low: number, high: number] {
   const [low, high] = [lowOf(row), highOf(row)];
   const twice = 2 * (row.default || row.value);
   const [least, most] = twice === 0 ? [-1, 1] : [Math.min(0, twice), Math.max(0, twice)];
+  const near = (bound: number) =>
+    Number.isFinite(bound) && (row.path === "" || twice === 0 || Math.abs(bound) <= Math.abs(2 * twice));
   return [
-    Number.isFinite(low) ? low : Math.min(least, row.value, high),
-    Number.isFinite(high) ? high : Math.max(most, row.value, low),
+    near(low) ? low : Math.max(low, Math.min(least, row.value, high)),
+    near(high) ? high : Math.min(high, Math.max(most, row.value, low)),
   ];
 }
 

@@ -1,9 +1,11 @@
 import { identificationChoices } from "../../api/identification";
+import { logSummary } from "../../api/logs";
 import { telemetry } from "../../api/telemetry";
 import { measuredSteps, type MeasuredStep, type ParameterRow } from "../../api/tuning";
 import { History } from "../../chart/history";
 import { STEP_COLUMNS, StepWatch, type FlownStep } from "../../chart/step_watch";
 import { keepHistory } from "../../state/live_panels.svelte";
+import { flown } from "../logs/words";
 import { shown } from "./draft";
 
 const RATE_HZ = 250;
@@ -48,7 +50,9 @@ export class MeasuredSteps {
       this.live = this.watch.update();
       this.values = new Map(this.live.map(({ time }) => [time, this.values.get(time) ?? now]));
     }, LOOK_MS);
-    void this.readLatest();
+    // Without a log there is nothing to lay over the prediction, and the text says so.
+    const latest = identificationChoices().then(({ flights: [log] }) => (log ? this.read(log) : undefined));
+    latest.catch(() => undefined);
     return () => (stop(), events(), clearInterval(timer));
   }
 
@@ -93,21 +97,13 @@ export class MeasuredSteps {
     return this.logged.length > 0 ? `from ${this.log}` : "none flown yet: press Arm, then the steps below";
   }
 
-  private async readLatest(): Promise<void> {
-    try {
-      const [latest] = (await identificationChoices()).flights;
-      if (latest !== undefined) await this.read(latest);
-    } catch {
-      // Without a log there is nothing to lay over it, and the text says so.
-    }
-  }
-
   private async read(name: string): Promise<void> {
     try {
       // Scaled to 1, so that another goal needs no further question.
       const { steps } = await measuredSteps(this.drone, name, 0.5);
       if (steps.length === 0) return;
-      this.log = name;
+      const summary = await logSummary(name);
+      this.log = "span" in summary ? `${name}: ${flown(summary)}` : name;
       this.logged = steps.map((step) => ({ ...step, theta: step.theta.map((value) => value / 0.5) }));
     } catch {
       // A log of something else.
