@@ -55,6 +55,7 @@ def render(text: str) -> str:
         "steps": _steps,
         "streams": _streams,
         "fmea": _fmea,
+        "fmea_short": _fmea_short,
         "rooms": _rooms,
     }
 
@@ -179,9 +180,32 @@ def _safety() -> Iterator[str]:
             yield f"| `{path}` | `{row.name}` | {row.unit} | {value} | {bounds} | {row.text} |"
 
 
-def _fmea() -> Iterator[str]:
+def _flown() -> list[dict[str, str]]:
     with FMEA.open(encoding="utf-8", newline="") as file:
-        lines = list(csv.DictReader(file))
+        return list(csv.DictReader(file))
+
+
+def _fmea_short() -> Iterator[str]:
+    faults: dict[tuple[str, str], list[dict[str, str]]] = {}
+    for line in _flown():
+        if line["component"] != "no fault":
+            faults.setdefault((line["component"], line["fault"]), []).append(line)
+    on = {fault: max(int(line["on_after_ms"]) for line in lines) for fault, lines in faults.items()}
+    strongest = [max((line["most"] for line in lines), key=ACTIONS.index) for lines in faults.values()]
+    late = sorted((fault for fault in faults if on[fault] > AT_A_STOP), key=lambda fault: -on[fault])
+    pairs, flights = sum(component == "two at once" for component, _ in faults), sum(map(len, faults.values()))
+    yield ""
+    yield f"- {len(faults)} faults were flown, {pairs} of them pairs, in {flights} flights on both rigs."
+    yield f"- {strongest.count('none')} of them need no action, {strongest.count('off')} may end with motors off."
+    yield f"- {len(late)} leave motors on for more than {AT_A_STOP / 1e3:g} s after a stop was first met, at the worst:"
+    yield from ("", "| fault | on, s | why |", "|---|---|---|")
+    for fault in late:
+        yield f"| {': '.join(fault)} | {on[fault] / 1e3:.2f} | {faults[fault][0]['why']} |"
+    yield ""
+
+
+def _fmea() -> Iterator[str]:
+    lines = _flown()
     for component in dict.fromkeys(line["component"] for line in lines):
         mine = [line for line in lines if line["component"] == component]
         flown = ", ".join(dict.fromkeys(line["flown"] for line in mine))
