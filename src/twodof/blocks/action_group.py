@@ -65,7 +65,7 @@ def action_group(
     for output in initial or {}:
         if output not in parts[first].outputs:
             there = f"there are: {nearest(output, parts[first].outputs)}"
-            raise DiagramError(f"no output named {shown(output)} to start", name, there)
+            raise DiagramError(f"no output named {shown(output)} to start (`initial`)", name, there)
     for output in parts[first].outputs:
         port = _alike(name, output, parts)
         merge = Merge(len(parts), (initial or {}).get(output, 0), port.enum or port.kind, port.width, port.unit)

@@ -253,10 +253,10 @@ class Verdict:
 class Promise:
     """Promise of a step of a `loop` of `STEPS` by `goal` [rad, m/s or m], at `level`.
 
-    `low`, `middle` and `high` are the bands of the channels, each (steps,) at 250 Hz from the step on. A share `level`
-    of flights stays inside for the whole time. `figures` has intervals (low, middle, high); each figure by itself lies
-    inside with the same share. `failed` is the share of members that are unstable or lost: if it is not 0, nothing else
-    counts. `family` is the `to_json` of the family.
+    `low`, `middle` (the mean) and `high` are the bands of the channels, each (steps,) at 250 Hz from the step on. Of
+    each channel by itself a share `level` of flights stays inside for the whole time. `figures` has intervals (low,
+    middle, high), and each figure by itself lies inside with the same share. `failed` is the share of members that are
+    unstable or whose response is not finite: if it is not 0, nothing else counts. `family` is its `to_json`.
     """
 
     controller: str

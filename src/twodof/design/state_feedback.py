@@ -73,7 +73,7 @@ def lqi(
 
     sizes = (largest_theta, largest_q, largest_integral, largest_moment)
     if not all(0.0 < v < math.inf for v in sizes):
-        what = f"the largest sizes {sizes!r:.80} are not all positive"
+        what = f"the largest sizes {sizes!r:.80} are not all positive and finite"
         raise ParameterError(what, "state feedback", "give finite numbers > 0")
     a, b = _without_dead_time(family)
     weights = np.diag([largest_theta**-2, largest_q**-2, 0.0, 0.0, largest_integral**-2])

@@ -271,7 +271,9 @@ class Estimate:
         found = [self.labels.index(part) for part in parts if part in self.labels]
         if not found:
             raise IdentificationError(
-                f"'{label}' was not estimated", f"structure '{self.structure}'", f"were: {', '.join(self.labels)}"
+                f"'{label}' was not estimated",
+                f"structure '{self.structure}'",
+                f"estimated were: {', '.join(self.labels)}",
             )
         return found
 

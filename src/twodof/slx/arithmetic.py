@@ -135,7 +135,10 @@ def whole_product(c: Asked, signs: str) -> Made | None:
 
 
 def whole_gain(c: Asked, gain: float) -> Made | None:
-    """Return a gain of whole numbers; None where all is real. A gain of whole numbers must be whole itself."""
+    """Return a gain on an integer signal; None where all is real.
+
+    A fraction raises NotTranslated, unless the gain's type or the output's is single or double.
+    """
     real = c.text("ParamDataTypeStr", "") in ("double", "single") or c.inputs[0].number in FLOATS
     kind, said = BY_NAME[c.inputs[0].number], c.text("OutDataTypeStr", "")
     if kind.name == "bool" and said.startswith("Inherit: Inherit via internal"):

@@ -448,7 +448,10 @@ def bits_of(x: Any, word: int = 0) -> Any:
 
 
 def from_bits(low: Any, high: Any = None) -> Any:
-    """Return the real with these IEEE words: one uint32 for float32, (low, high) for float64; undo `bits_of`."""
+    """Return the real with these IEEE words, as many as the build's precision has; undo `bits_of`.
+
+    `low` alone is a float32, `low` and `high` are a float64.
+    """
     if traced(low, high):
         words = (as_expr(low, "uint32"),) if high is None else (as_expr(low, "uint32"), as_expr(high, "uint32"))
         return node("from_bits", "real", words)

@@ -190,7 +190,7 @@ class Chart:
         if not inner:
             if mode.history:
                 raise DiagramError(
-                    f"{mode.name!r} has a history", "", "only a mode with inner ones has something to know"
+                    f"{mode.name!r} has a history", "", "only a mode with inner ones has something to remember"
                 )
             self.leaves.append(Leaf(len(self.leaves), mode, outer))
             return

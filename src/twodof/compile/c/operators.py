@@ -1,6 +1,7 @@
 """The operations of the language as C99, one row each, and the small C functions that they call.
 
-`where` is C's conditional (ternary) operator. Memory functions are for targets without a C library.
+`where` is C's conditional (ternary) operator, or an `if` where `branches` makes it one. Memory functions are for
+targets without a C library.
 """
 
 from collections.abc import Iterator
