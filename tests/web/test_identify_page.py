@@ -46,6 +46,10 @@ def fitted(page: Page) -> None:
     expect(page.get_by_text("(95 % intervals)")).to_be_visible(timeout=LONG_MS)
 
 
+def decimals(number: str) -> int:
+    return len(number.partition(".")[2])
+
+
 def with_another_truth(route: Route) -> None:
     """Answer with a fit whose interval of mu misses the rig's value."""
     answer = route.fetch()
@@ -75,7 +79,9 @@ def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) 
     expect(page.get_by_role("heading", name="Correlation of the estimates")).to_be_visible()
     expect(page.get_by_text("By hand, step by step")).to_be_visible()
     assert axe(page) == []
-    page.get_by_label("Keep the model as").fill("from the page")
+    named = page.get_by_label("Keep the model as")
+    expect(named).to_have_attribute("placeholder", re.compile(r"^doublet \d{4}-\d\d-\d\d \d\d\.\d\d$"))
+    named.fill("from the page")
     page.get_by_role("button", name="Keep it").click()
     expect(page.get_by_role("row", name=re.compile("^from the page"))).to_be_visible()
     # What was pressed is gone; the keyboard goes on at what came of it.
@@ -134,6 +140,9 @@ def test_it_goes_on_waiting_for_a_busy_computer(lab: ServedLab, open_page: OpenP
     expect(waits).to_be_hidden()
     page.get_by_role("button", name="Preview the accuracy").click()
     expect(page.get_by_role("row", name="w_n")).to_be_visible(timeout=LONG_MS)
+    for row in page.get_by_role("table", name="Expected standard deviations").get_by_role("row").all()[1:]:
+        _, value, sigma, *_ = row.get_by_role("cell").all_inner_texts()
+        assert decimals(value) == decimals(sigma), row.inner_text()
 
 
 @pytest.mark.long
