@@ -55,3 +55,12 @@ def test_a_changed_controller_is_flashed_and_flies(lab_server: LabServer, open_p
     assert "My_pid_2" in lab_server.state["controller"]
     page.get_by_role("link", name="Logs", exact=True).click()
     expect(page.get_by_role("link", name=re.compile("drone")).first).to_be_visible()
+    page.get_by_role("link", name="Fly", exact=True).click()
+    page.get_by_role("link", name="Tune or replace it").click()
+    page.get_by_role("link", name="Back to the stock controller").click()
+    expect(page.get_by_role("heading", name="Diagram stock_attitude")).to_be_attached()
+    expect(page.get_by_text("It compiles")).to_be_visible()
+    page.get_by_role("button", name="Flash…").click()
+    expect(dialog.get_by_text("no swing grows")).to_be_visible(timeout=LONG_MS)
+    dialog.get_by_role("button", name=re.compile("Flash to drone")).click()
+    lab_server.until(controller="stock")
