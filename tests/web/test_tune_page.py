@@ -143,10 +143,13 @@ def test_a_prediction_is_named_by_its_gains(lab: ServedLab, open_page: OpenPage)
     page.get_by_label("Model", exact=True).select_option("careful")
     expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)
     page.route("**/tuning/1/preview", lambda route: None)  # it is never answered
+    plot = page.get_by_text("A step of θ", exact=True)
+    stands = plot.bounding_box()
     edit(page, "RATE_KP", "0.07")
     curve = page.get_by_role("listitem").filter(has_text="predicted RATE_KP 0.07")
     expect(curve).to_be_visible(timeout=LONG_MS)
     expect(page.get_by_text("below, the last ones")).to_be_visible()
+    assert plot.bounding_box() == stands, "what is computed moves the page"
     page.route("**/tuning/1/step", lambda route: None)
     edit(page, "RATE_KP", "0.06")
     expect(page.get_by_label("Changes to send")).to_contain_text("0.0854 → 0.06")
