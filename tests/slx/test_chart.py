@@ -1,5 +1,6 @@
 """Stateflow charts: sequences derived by hand from Stateflow's rules, each action written into a log of digits."""
 
+import math
 import random
 import subprocess
 from pathlib import Path
@@ -545,6 +546,20 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
     assert_log(chart(tmp_path, "".join(parts)), [(1.0, 0.0, "12"), (0.0, 0.0, "13"), (1.0, 0.0, "12")])
 
 
+def test_a_circle_of_junctions_turns_as_often_as_its_condition_holds(tmp_path: Path) -> None:
+    """A factorial that saturates, as MathWorks' C of two public models has it; it ends at 255 turns."""
+    inside = (
+        way(1, None, 5, "{y = uint32(1); n = uint8(u);}") + "".join(map(junction, (5, 6, 7, 8)))
+        + way(2, 5, 6, "[n > 1]") + way(3, 6, 7, "{y = y * uint32(n);}") + way(4, 7, 5, "{n = n - 1;}")
+        + way(9, 5, 8, order=2)
+    )  # fmt: skip
+    held = data("y", "OUTPUT", "uint32"), data("n", "LOCAL", "uint8")
+    u = [0.0, 1.0, 2.0, 5.0, 12.0, 13.0, 40.0, 255.0]
+    found = flown(chart(tmp_path, inside, *held, outputs=("y",)), u)
+    wanted = [min(math.factorial(int(n)), 2**32 - 1) for n in u]
+    assert np.array_equal(found["y_y"], np.array(wanted, dtype=np.uint32))
+
+
 @pytest.mark.parametrize(
     ("parts", "settings", "why"),
     [
@@ -589,15 +604,24 @@ def test_a_chart_without_states_takes_its_ways_at_each_tick(tmp_path: Path) -> N
             "executes at initialization",
         ),
         (
+            way(1, None, 2)
+            + state(2, "A")
+            + "".join(junction(k) + way(k + 40, k, k + 1) for k in range(10, 31))
+            + junction(31)
+            + way(3, 2, 10)
+            + way(4, 31, 2),
+            "",
+            "junctions lead on more than 20 times",
+        ),
+        (
             way(1, None, 5)
             + junction(5)
             + junction(6)
-            + way(7, 5, 6, "[u > 0]")
-            + way(8, 6, 5, "[u > 1]")
-            + state(2, "A")
-            + way(9, 6, 2, order=2),
+            + way(7, 5, 6, "[u > log]{log = log + 1; call;}")
+            + way(8, 6, 5)
+            + '<event name="call"><P Name="scope">OUTPUT_EVENT</P><P Name="trigger">FUNCTION_CALL_EVENT</P></event>',
             "",
-            "in a circle",
+            "a circle of junctions calls a subsystem",
         ),
     ],
 )

@@ -210,6 +210,20 @@ y = x + last(1);
 end
 """
 
+LOOPS = """function [y, n, k] = f(u, v)
+y = u; n = int16(0); k = uint8(200);
+while y > 1
+  y = y / 2 - .1; n = n + 1;
+  if n == 5, continue; end
+  k = k + 20;
+  if v(1) > 1 && n > 2, break; end
+end
+while any(v > 0) && k > 5
+  v = v - .25; k = k - 1;
+end
+end
+"""
+
 BITS = """function [a, b, c, d, e, y] = f(u, v, w, s)
 a = typecast([u; v], 'int16');
 b = bitset(w, 3) - bitset(w, 5, 0);
@@ -316,6 +330,7 @@ end
         (INDICES, [REAL, VECTOR, MATRIX]),
         (FUNCTIONS, [REAL, VECTOR]),
         (EARLY, [REAL]),
+        (LOOPS, [REAL, VECTOR]),
         ("function y = f(u)\nerror = u - 1; hold = u * 2;\ny = error + hold;\nend\n", [REAL]),
         (BITS, [Signal("uint8"), Signal("uint8"), Signal("uint16"), Signal("int32")]),
     ],
@@ -332,6 +347,7 @@ end
         "indices",
         "functions",
         "early",
+        "loops",
         "names of statements",
         "bits",
     ],
@@ -389,7 +405,7 @@ def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
         ("y = quat2eul([u 0 0 1], 'XYZ');", "line 2: quat2eul_of_another_sequence is not computed"),
         ("y = svd(u);", "line 2: svd is not computed"),
         ("for k = 1:u, y = k; end", "line 2: a range whose bounds are signals"),
-        ("while u > 0, u = u - 1; end, y = u;", "line 2: how often the loop turns depends on signals"),
+        ("while u(1) > 0, u = [u; 1]; end, y = u;", "line 2: u changes its size or class in a loop"),
         ("if u > 0, y = 1; else, y = [1 2]; end", "line 2: y is 1 by 1 and 1 by 2 in two branches"),
         ("if u > 0, y = 1; else, y = true; end", "line 2: y is real and bool in two branches"),
         ("persistent p; y = p + u;", "line 2: p is read before it has a value"),

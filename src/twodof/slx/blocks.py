@@ -325,15 +325,6 @@ def _logic(c: Asked) -> Made:
     return formula(c, of, kind)
 
 
-def _dot(c: Asked) -> Made:
-    c.kind("real")
-    return Made(DotProduct(c.width) if c.width else Product("**"))
-
-
-def _dropped(c: Asked) -> Made:
-    return Made(None, [])
-
-
 _KIND_OF = TYPES | {"float64": "real", "bool": "bool"}
 
 
@@ -353,7 +344,7 @@ RULES: dict[str, Rule] = {
     "DeadZone": lambda c: same(c, DeadZone(c.scalar("LowerValue", "-0.5"), c.scalar("UpperValue", "0.5"), c.width)),
     "Demux": _demux,
     "Enumerated Constant": _constant,
-    "DotProduct": _dot,
+    "DotProduct": lambda c: Made(DotProduct(c.width) if c.kind("real") and c.width else Product("**")),
     "Gain": _gain,
     "Ground": lambda c: _constant(replace(c, values={"OutDataTypeStr": "double", **c.values, "Value": "0"})),
     "Logic": _logic,
@@ -369,7 +360,7 @@ RULES: dict[str, Rule] = {
     "Width": lambda c: Made(Constant(float(c.inputs[0].width or 1))),
     "UnaryMinus": lambda c: whole(c, operator.neg) or same(c, Sum("-", "real", c.width)),
     "ZeroOrderHold": holds,
-    **dict.fromkeys(DROPPED, _dropped),
+    **dict.fromkeys(DROPPED, lambda c: Made(None, [])),
 }
 """Rule of each block type, or of a library block by its name."""
 
@@ -472,14 +463,11 @@ def _of_vectors(c: Asked, rule: Rule) -> Made:
     return Made(d, made.outputs)
 
 
-INPUTS = {"Switch": 3, **dict.fromkeys(("RelationalOperator", "DotProduct", "Sum", "Product"), 2)}
-
-
-INPUTS |= {"MultiPortSwitch": 4, "Merge": 2, "PID Controller (2DOF)": 2}
-INPUTS |= dict.fromkeys(
-    ("Band-Limited White Noise", "Clock", "Constant", "Counter Free-Running", "Counter Limited", "DigitalClock",
-     "DiscretePulseGenerator", "Function-Call Generator", "Ground", "Ramp", "Random Source", "RandomNumber",
-     "Repeating Sequence", "Repeating Sequence Stair", "SignalGenerator", "Sin", "Step", "UniformRandomNumber",
-     "DataStoreMemory", "DataStoreRead"), 0,
-)  # fmt: skip
+_SOURCES = (
+    "Band-Limited White Noise", "Clock", "Constant", "Counter Free-Running", "Counter Limited", "DataStoreMemory",
+    "DataStoreRead", "DigitalClock", "DiscretePulseGenerator", "Function-Call Generator", "Ground", "Ramp", "Sin",
+    "Random Source", "RandomNumber", "Repeating Sequence", "Repeating Sequence Stair", "SignalGenerator", "Step",
+    "UniformRandomNumber")  # fmt: skip
+_TWO = ("DotProduct", "Merge", "PID Controller (2DOF)", "Product", "RelationalOperator", "Sum")
+INPUTS = {"MultiPortSwitch": 4, "Switch": 3, **dict.fromkeys(_TWO, 2), **dict.fromkeys(_SOURCES, 0)}
 """Inputs of a block of which the file does not say how many; of any other type one."""

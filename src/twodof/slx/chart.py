@@ -27,11 +27,11 @@ from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError
 from twodof.slx.data_types import kind_of
 from twodof.slx.matlab.chart_text import AFTER, COMMENT, SEND, actions_of, label_of, matlab_of, without_strings
-from twodof.slx.matlab.function_block import MatlabFunction
+from twodof.slx.matlab.function_block import MatlabFunction, typed, zero_of
 from twodof.slx.matlab.parser import names_in
 from twodof.slx.matlab.program import IN_C, evaluate
-from twodof.slx.matlab.values import FUNCTIONS, Members, Value, as_array, number
-from twodof.slx.model import SimulinkChart, collapsed, port_number
+from twodof.slx.matlab.values import Members, Value, as_array, number
+from twodof.slx.model import SimulinkChart, System, collapsed
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
 
 MOST_LINES = 4000
@@ -168,6 +168,15 @@ class _Chart:
             alike = [one for one in self._from(way.source) if way.source and one.order == way.order]
             if len({id(one.parent) if one.source in self.states else 0 for one in alike}) < len(alike):
                 raise NotTranslated(f"{_shown(way)}: the order of the transitions is not in the file")
+        onward = {one: {way.target for way in self._from(one)} & self.junctions for one in self.junctions}
+        for _ in range(len(onward).bit_length()):
+            onward = {one: found.union(*(onward[k] for k in found)) for one, found in onward.items()}
+        self.circles = {one for one, found in onward.items() if one in found}
+        """The junctions from which ways lead back to them."""
+        sent = [one for one in self.calls.values() if one.endswith("true")]
+        for way in self._ways():
+            if way.target in self.circles and any(one in way.action for one in sent):
+                raise NotTranslated(f"{_shown(way)}: a circle of junctions calls a subsystem")
         self.lines, self.owners = list[str](), list[str]()
         self.clocks: dict[str, _State] = {}
         self.watched: list[str] = []
@@ -387,7 +396,7 @@ class _Chart:
         if isinstance(kind, Bus):
             if text or sizes not in ("1", "-1"):
                 raise NotTranslated(f"the data {name} of a bus has an initial value or a size")
-            return _zero(Port(name, kind))
+            return zero_of(Port(name, kind))
         if not isinstance(kind, str):
             raise NotTranslated(f"the data {name} of type {kind} is not translated")
         try:
@@ -403,7 +412,7 @@ class _Chart:
         elif start.size != 1:
             raise NotTranslated(f"the data {name} has {start.size} initial values for the size {sizes}")
         whole_array = np.full(whole, start.item()) if start.size == 1 else start.reshape(whole, order="F")
-        return _as(kind, whole_array)
+        return typed(kind, whole_array)
 
     def _block(self, write: Callable[[], None]) -> list[tuple[str, str]]:
         self.lines, self.owners = [], []
@@ -525,9 +534,7 @@ class _Chart:
     ) -> None:
         """Try ways in their order; junctions lead on, and back where none of theirs reaches a state."""
         if len(path) > MOST_JUNCTIONS:
-            raise NotTranslated(
-                f"{_shown(path[0])}: junctions lead on more than {MOST_JUNCTIONS} times, or in a circle"
-            )
+            raise NotTranslated(f"{_shown(path[0])}: junctions lead on more than {MOST_JUNCTIONS} times")
         for way in ways:
             if way.events and self.event not in way.events:
                 continue
@@ -539,7 +546,14 @@ class _Chart:
             if way.target in self.states:
                 self._take(onward, self.states[way.target], source, within)
                 self._say(f"{flag} = true;")
-            elif follow := self._from(way.target):
+            elif way.target in [one.target for one in path]:
+                self._say(f"again_{way.target} = true;\n{flag} = true;")
+            elif (follow := self._from(way.target)) and way.target in self.circles:
+                self._say(f"again_{way.target} = true;\nwhile again_{way.target}")
+                self._say(f"again_{way.target} = false;\n{flag} = false;")
+                self._flow(follow, flag, source, within, onward)
+                self._say("end")
+            elif follow:
                 self._flow(follow, flag, source, within, onward)
             elif self.states and within not in self.functions and (within is None or within.children):
                 raise NotTranslated(f"{owner}: it ends at a junction")
@@ -612,19 +626,6 @@ def _parts(form: Form) -> Iterator[Form]:
         yield from (one, *_parts(one))
 
 
-def _as(kind: str, array: np.ndarray[Any, Any]) -> Value:
-    return FUNCTIONS[{"real": "double", "bool": "logical"}.get(kind, kind)](array)
-
-
-def _zero(port: Port) -> Value:
-    """Return what a port without a value gives."""
-    if isinstance(port.kind, Bus) and port.width is None:
-        return {one.name: _zero(one) for one in port.kind.fields}
-    if not isinstance(port.kind, str):
-        raise NotTranslated(f"the array {port.name} of buses is not translated")
-    return _as(port.kind, np.zeros(port.shape or (port.width or 1, 1)))
-
-
 def _shown(way: _Way) -> str:
     label = f"[{way.condition}]" if way.condition else f"{way.order} of {way.parent.name}"
     return f"the transition {label[:60]}"
@@ -666,15 +667,9 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
     def made(c: Asked) -> Made:
         if chart is None:
             raise NotTranslated("its code is not in the file")
-        blocks = [] if c.block.system is None else list(c.block.system.blocks.values())
-        inputs, outputs = (
-            [
-                collapsed(one.name).removesuffix("()")
-                for one in sorted((b for b in blocks if b.type == kind), key=port_number)
-            ]
-            for kind in ("Inport", "Outport")
-        )
-        if blocks and not outputs:
+        inner = c.block.system or System({}, [])
+        inputs, outputs = ([one.removesuffix("()") for one in inner.ports(kind)] for kind in ("Inport", "Outport"))
+        if inner.blocks and not outputs:
             return Made(None, [])
         if chart.function:
             item = MatlabFunction(chart.text, c.inputs, c.names, inputs, None, c.folders, _buses(chart, c.names))

@@ -19,11 +19,9 @@ from twodof.blocks.elementwise import elementwise, search
 from twodof.blocks.expressions.conversions import to_stored
 from twodof.blocks.expressions.expr import convert, int32, to_int32, to_real, to_uint32, where
 from twodof.blocks.expressions.numbers import INTEGERS
-from twodof.blocks.library import Gain, MultiportSwitch, Noise, Polynomial, Ramp, UniformNoise
-from twodof.errors import DiagramError
+from twodof.blocks.library import Gain, Noise, Polynomial, Ramp, UniformNoise
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.parser import names_in
-from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.values import as_array
 from twodof.slx.translation import (
     Asked,
@@ -337,34 +335,21 @@ def _multiport(c: Asked) -> Made:
     control, data = c.inputs[0], c.inputs[1:]
     if len(data) < 2 or control.width is not None or control.kind == "bool":
         raise NotTranslated("it has one data input, or a control that is no number")
-    c.inputs, kind = data, widest(data)
+    kind = Signal(widest(data)).number
     order = c.needs("DataPortOrder", "One-based contiguous", *_ORDERS)
     extra = c.text("DataPortForDefault", "Last data port") == "Additional data port"
-    named = len(data) - extra
-    numbers = [list(range(k, k + 1)) for k in range(_ORDERS[order], _ORDERS[order] + named)]
+    numbers = [[_ORDERS[order] + k] for k in range(len(data) - extra)]
     if order == "Specify indices":
-        try:
-            cells = evaluate(c.text("DataPortIndices", "{1,2,3}"), c.names)
-        except DiagramError as reason:
-            raise NotTranslated(f"parameter DataPortIndices: {reason.what}") from None
+        cells = c.structure("DataPortIndices", "{1,2,3}")
         numbers = [[int(n) for n in as_array(one).flatten()] for one in cells]
 
-    def of(t: Any, u: Any) -> Any:
-        whole, place = to_int32(trunc(u) if control.kind == "real" else u), int32(len(data) - 1)
-        for k, values in enumerate(numbers):
-            for value in values:
-                place = where(whole == value, int32(k), place)
-        return place
+    def of(t: Any, u: Any, *values: Any) -> Any:
+        whole, y = to_int32(trunc(u) if control.kind == "real" else u), convert(values[-1], kind)
+        for value, number in ((value, number) for value, all_ in zip(values, numbers, strict=False) for number in all_):
+            y = where(whole == number, convert(value, kind), y)
+        return y
 
-    d, switch = Diagram("choice"), MultiportSwitch(len(data), kind, c.width)
-    d.input("u1", control.kind)
-    d.add("place", Formula(of, [control], Signal("int32")), u1="u1")
-    d.add("y", switch, index="place.y")
-    for k, (one, name) in enumerate(zip(data, switch.names, strict=True), start=2):
-        d.input(f"u{k}", one.kind, one.width)
-        d.connect(expanded(d, f"u{k}", one, c.width, kind), f"y.{name}")
-    d.output("y", "y")
-    return Made(d, [Signal(kind, c.width)])
+    return formula(c, of, kind)
 
 
 _ORDERS = {"One-based contiguous": 1, "Zero-based contiguous": 0, "Specify indices": 0}

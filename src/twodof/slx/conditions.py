@@ -49,9 +49,8 @@ def conditions_of(system: System) -> list[Activation]:
             continue
         if block.values.get("ShowOutputPort", "off") == "on" and block.type != "EnablePort":
             raise NotTranslated(f"ShowOutputPort of its {block.type} is not translated")
-        edge = {"TriggerPort": block.values.get("TriggerType", "rising")}.get(block.type, "")
-        if block.type == "ResetPort":
-            edge = block.values.get("ResetTriggerType", "level")
+        own = {"TriggerPort": ("TriggerType", "rising"), "ResetPort": ("ResetTriggerType", "level")}
+        edge = block.values.get(*own[block.type]) if block.type in own else ""
         if edge not in ("", "rising", "falling", "either", "function-call", "level", "level hold"):
             raise NotTranslated(f"TriggerType = {edge!r} is not translated")
         key = "InitializeStates" if block.type == "ActionPort" else "StatesWhenEnabling"

@@ -23,7 +23,6 @@ from twodof.slx.model import (
     System,
     below,
     collapsed,
-    port_number,
     read_model,
     source_file,
 )
@@ -109,8 +108,8 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
         len(systems) - 1,
         max((path.replace("//", "").count("/") + 1 for path, _ in systems if path), default=0),
         dict(times.most_common()),
-        tuple(ports(model.root, "Inport")),
-        tuple(ports(model.root, "Outport")),
+        tuple(model.root.ports("Inport")),
+        tuple(model.root.ports("Outport")),
         libraries,
         tuple(sorted(one.path for one in model.charts if one.function)),
         tuple(sorted(one.path for one in model.charts if not one.function)),
@@ -118,12 +117,6 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
         sum(one.commented for _, one in blocks),
         sum(line.source is None or next(line.wire.sinks(), None) is None for line in lines),
     )
-
-
-def ports(system: System, kind: str) -> list[str]:
-    """Return the names of the Inports or Outports of a system by their number."""
-    found = [one for one in system.blocks.values() if one.type == kind]
-    return [collapsed(one.name) for one in sorted(found, key=port_number)]
 
 
 def sample_time(block: SimulinkBlock) -> str:

@@ -123,6 +123,11 @@ class System:
     blocks: dict[str, SimulinkBlock]
     lines: list[Line]
 
+    def ports(self, kind: str) -> list[str]:
+        """Return the names of the Inports or Outports by their number."""
+        found = [one for one in self.blocks.values() if one.type == kind]
+        return [collapsed(one.name) for one in sorted(found, key=port_number)]
+
     def walk(self, path: str = "") -> Iterator[tuple[str, "System"]]:
         """Yield this system and all below it with their paths, `Controller/PID`, in the order of the file."""
         yield path, self

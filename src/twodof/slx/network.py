@@ -135,7 +135,9 @@ class Joined(Block):
                 raise NotTranslated(f"{node.path} {node.apart}")
         inputs = [(node.path, port.name) for node, port in self._of("inputs")]
         self.driven = {one: network.driver(network.nodes[one[0]], one[1]) for one in inputs}  # the diagram may change
-        self.states = [replace(s, name=_own(n, s.name), initial=_start(n, s.initial)) for n, s in self._of("states")]
+        starts = [_own(n, s.initial) if isinstance(s.initial, str) else s.initial for n, s in self._of("states")]
+        states = zip(self._of("states"), starts, strict=True)
+        self.states = [replace(s, name=_own(n, s.name), initial=start) for (n, s), start in states]
         self.params = [replace(one, name=_own(node, one.name)) for node, one in self._of("params")]
         self.derived = [replace(one, name=_own(node, one.name)) for node, one in self._of("derived")]
 
@@ -191,10 +193,6 @@ class Joined(Block):
 
 def _own(node: PlacedBlock, name: str) -> str:
     return f"{node.path}_{name}".replace(".", "_")
-
-
-def _start(node: PlacedBlock, initial: Any) -> Any:
-    return _own(node, initial) if isinstance(initial, str) else initial
 
 
 # --- algebraic loops
@@ -425,7 +423,7 @@ class Iterated(Joined):
         if how.loops and len(extras) > 1:
             goes = where(_true(before(extras[1])), int32(1), int32(0))
         elif not how.loops and extras:
-            limit = _whole(before(extras[0]))
+            limit = convert(convert(before(extras[0]), "real"), "int32")
 
         def turn(i: Any, goes: Any, *scalars: Any) -> list[Any]:
             states = _together(carried, scalars)
@@ -483,7 +481,3 @@ def _together(states: Sequence[State], scalars: Sequence[Any]) -> dict[str, Any]
 
 def _true(value: Any) -> Any:
     return convert(value, "real") != 0.0
-
-
-def _whole(value: Any) -> Any:
-    return convert(convert(value, "real"), "int32")

@@ -34,12 +34,7 @@ def _function(c: Asked, code: str, constants: Mapping[str, Any] | None = None) -
 def _median(c: Asked) -> Made:
     """Return the median of the last samples, which are 0 before the start."""
     c.needs("SpecifyWindowLength", "on", "on")
-    code = """function y = f(u, n)
-    persistent w
-    if isempty(w), w = zeros(n, 1); end
-    w = [w(2:end); u];
-    y = median(w);"""
-    return _function(c, code, {"n": c.value("WindowLength", "5")})
+    return _samples(c, int(c.scalar("WindowLength", "5")), True, "median(w)", "")
 
 
 def _average(c: Asked) -> Made:
@@ -76,12 +71,12 @@ def _taps(c: Asked) -> Made:
 
 
 def _samples(c: Asked, count: int, present: bool, order: str, initial: str) -> Made:
-    keep = "w = [w(2:end); u];"
+    keep, start = "w = [w(2:end); u];", c.value(initial, "0") if initial else np.zeros((1, 1))
     code = f"""function y = f(u, n, x0)
     persistent w
     if isempty(w), w = x0 .* ones(n, 1); end
     {f"{keep} y = {order};" if present else f"y = {order}; {keep}"}"""
-    return _function(c, code, {"n": np.array([[float(count)]]), "x0": c.value(initial, "0").reshape(-1, 1)})
+    return _function(c, code, {"n": np.array([[float(count)]]), "x0": start.reshape(-1, 1)})
 
 
 def _flip_flop(c: Asked) -> Made:

@@ -9,11 +9,15 @@ Values are numpy arrays of two dimensions (float64, float32, whole numbers, bool
 
 import io
 import math
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from twodof.blocks.expressions.arrays import fold
+from twodof.blocks.expressions.expr import convert, where
+from twodof.blocks.expressions.numbers import STORED
 from twodof.flightlog import fence
 from twodof.slx.matlab.signals import OPERATORS as SIGNAL_OPERATORS
 from twodof.slx.matlab.signals import SIGNAL_FUNCTIONS, of_signals
@@ -27,7 +31,10 @@ from twodof.slx.matlab.values import (
     Value,
     as_array,
     bounded,
+    class_of,
+    filled,
     is_signal,
+    lifted,
     lowered,
     number,
     numeric,
@@ -78,6 +85,39 @@ class Evaluation:
         self.names.update({name: value for name, value in inner.names.items() if "." in name})
         return value, dict(inner.names)
 
+    def repeat(self, turn: Callable[[], tuple[Any, Any]], most: int) -> None:
+        """Record a loop of turns, of which each says whether its condition held, and whether it is the last.
+
+        It carries the names that a turn changes; a name that begins in it has no value behind it.
+        """
+        before, self.names = self.names, dict(self.names)
+        turn()
+        changed = {name: as_array(value) for name, value in before.items() if self.names.get(name) is not value}
+        kinds = {name: class_of(array) for name, array in changed.items()}
+
+        def arrays(scalars: Iterator[Any]) -> dict[str, Value]:
+            return {
+                name: filled(array.shape, [convert(next(scalars), kinds[name]) for _ in range(array.size)])
+                for name, array in changed.items()
+            }
+
+        def elements(names: Mapping[str, Value]) -> list[Any]:
+            found = {name: as_array(names[name]) for name in changed}
+            if odd := [k for k, v in found.items() if v.shape != changed[k].shape or class_of(v) != kinds[k]]:
+                raise NotComputed(f"{odd[0]} changes its size or class in a loop whose turns depend on signals")
+            flat = [(kinds[name], one) for name, array in found.items() for one in lifted(array).flatten(order="F")]
+            return [convert(one, "int32") if kind in STORED else one for kind, one in flat]
+
+        def step(_: Any, goes: Any, *scalars: Any) -> list[Any]:
+            self.names = {**before, **arrays(iter(scalars))}
+            held, last = turn()
+            on = goes & held
+            now = [where(on, new, old) for new, old in zip(elements(self.names), scalars, strict=True)]
+            return [on if last is False else on & ~last, *now]
+
+        _, *last = fold(most, [True, *elements(before)], step)
+        self.names = {**before, **arrays(iter(last))}
+
     def count(self, *values: Value, steps: int = 1) -> None:
         """Count an operation on these values, one on a large matrix as many. Raises NotComputed for one too many."""
         arrays = [one for one in values if isinstance(one, np.ndarray)]
@@ -94,6 +134,8 @@ class Evaluation:
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
         """Return what a function of MATLAB's gives: for a `count` above 1 a list."""
         self.count(*arguments, steps=0)
+        if name == "size" and count == 2:
+            return [self.called(name, [arguments[0], np.array([[k]])], True) for k in (1.0, 2.0)]
         signals = count > 1 or any(map(is_signal, arguments)) or name not in FUNCTIONS
         if signals:
             self.count_signals(_operations(name, arguments))

@@ -25,6 +25,7 @@ from twodof.slx.matlab.evaluation import Evaluation
 from twodof.slx.matlab.program import Code, call
 from twodof.slx.matlab.signals import chosen
 from twodof.slx.matlab.values import (
+    FUNCTIONS,
     Array,
     Members,
     NotComputed,
@@ -214,6 +215,20 @@ def value_of(shown: Any) -> Value:
     if not shape:
         return filled((1, 1), [flat])
     return filled((*shape, 1)[:2], (flat[k] for k in range(int(np.prod(shape)))))
+
+
+def typed(kind: str, array: Array) -> Value:
+    """Return an array in the class of a kind."""
+    return FUNCTIONS[{"real": "double", "bool": "logical"}.get(kind, kind)](array)
+
+
+def zero_of(port: Port) -> Value:
+    """Return what a port without a value gives."""
+    if isinstance(port.kind, Bus) and port.width is None:
+        return {one.name: zero_of(one) for one in port.kind.fields}
+    if not isinstance(port.kind, str):
+        raise NotComputed(f"the array {port.name} of buses is not translated")
+    return typed(port.kind, np.zeros(port.shape or (port.width or 1, 1)))
 
 
 def _widened(value: Value) -> Value:

@@ -46,7 +46,7 @@ from twodof.slx.matlab.values import (
     stored,
 )
 
-DEEPEST_CALLS, MOST_TURNS = 20, 40
+DEEPEST_CALLS, MOST_TURNS = 20, 1000
 _TABLE = re.compile(r"\w[\w. -]{0,100}\.csv")
 EMPTY = np.zeros((0, 0))
 IN_BASE = "base/."
@@ -307,8 +307,6 @@ class Program:
             raise NotComputed("several values are given by a function only")
         arguments = self.arguments(steps[0].parts) if steps else []
         found = self.called(name, arguments, True, len(targets))
-        if name == "size" and len(targets) == 2:
-            found = [found[:, [0]], found[:, [1]]]
         if not isinstance(found, list) or len(found) < len(targets):
             raise NotComputed(f"{name} gives fewer than {len(targets)} values")
         for target, value in zip(targets, found, strict=False):
@@ -359,8 +357,8 @@ class Program:
             if self._left() is True:
                 break
 
-    def _while(self, condition: Tree, body: Tree, turns: int = 0) -> None:
-        """Carry out the turns of a `while`; those after one that may be the last only where it is not."""
+    def _while(self, condition: Tree, body: Tree) -> None:
+        """Carry out the turns of a `while`, those behind one that depends on signals as a loop."""
         for name in _LEAVING.values():
             self.evaluation.names.pop(name, None)
         left: Any = False
@@ -368,29 +366,30 @@ class Program:
             held = truth(self.value(condition))
             if held is False:
                 return
-            if turns > MOST_TURNS:
-                raise NotComputed(f"how often the loop turns depends on signals: more than {MOST_TURNS} times")
-            turns += held is not True
             if held is not True:
-                self.either(held, partial(self._turn_of_while, condition, body, turns), lambda: None)
+                self._loop(condition, body)
                 return
-            left = self._turned(body)
+            self.block(body.parts)
+            self.evaluation.names.pop("#continue", None)
+            left = self._left()
         if left is not True:
-            self.either(left, lambda: None, partial(self._while, condition, body, turns + 1))
+            self.either(left, lambda: None, partial(self._while, condition, body))
 
-    def _turned(self, body: Tree) -> Any:
-        """Carry out a turn of a loop, and return whether those after it are left out."""
-        self.block(body.parts)
-        self.evaluation.names.pop("#continue", None)
-        return self._left()
+    def _loop(self, condition: Tree, body: Tree) -> None:
+        """Record the turns of a `while` whose condition is a signal, as a loop of a bounded number of turns."""
 
-    def _turn_of_while(self, condition: Tree, body: Tree, turns: int) -> None:
-        """Carry out a turn whose condition is a signal, and those that follow it."""
-        left = self._turned(body)
-        if left is False:
-            self._while(condition, body, turns)
-        elif left is not True:
-            self.either(left, lambda: None, partial(self._while, condition, body, turns))
+        def turn() -> Any:
+            held = truth(self.value(condition))
+            self.block(body.parts)
+            if "#return" in self.evaluation.names:
+                raise NotComputed("a return out of a loop whose turns depend on signals is not translated")
+            self.evaluation.names.pop("#continue", None)
+            left = self._left()
+            self.evaluation.names.pop("#break", None)
+            return held, left
+
+        self.evaluation.repeat(turn, MOST_TURNS)
+        self.code.notes.append(f"a loop turns {MOST_TURNS} times at most")
 
     # --- expressions
 
@@ -614,8 +613,6 @@ class Program:
                 raise NotComputed(" ".join(texts))
             if name in _NAMED and len(arguments) == 2:
                 return self._apply(_NAMED[name], *arguments)
-            if name == "size" and count == 2:
-                count = 1
             return self.evaluation.called(name, arguments, bracket, count)
         if len(arguments) > len(function.arguments):
             raise NotComputed(f"{name} takes {len(function.arguments)} arguments")

@@ -241,10 +241,6 @@ def _is_nan(x: Any) -> Any:
     return x != x
 
 
-def _sign(x: Any) -> Any:
-    return where(x > 0.0, 1.0, where(x < 0.0, -1.0, x))
-
-
 def _better(larger: bool) -> Elementwise:
     """Return whether the second element is to be taken: it is beyond the first, or the first is NaN and it is not."""
 
@@ -439,7 +435,8 @@ _SHAPES = ("reshape", "transpose", "numel", "size", "length", "repmat", "diag", 
 SIGNAL_FUNCTIONS: dict[str, Callable[..., Value]] = {
     **{name: _each(_float(getattr(functions, name))) for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2",
        "tanh", "exp", "log", "hypot")},
-    "sqrt": _each(_float(sqrt)), "abs": _each(_arithmetic(abs)), "sign": _each(_arithmetic(_sign)),
+    "sqrt": _each(_float(sqrt)), "abs": _each(_arithmetic(abs)),
+    "sign": _each(_arithmetic(lambda x: where(x > 0.0, 1.0, where(x < 0.0, -1.0, x)))),
     "floor": _each(_rounded(functions.floor)), "ceil": _each(_rounded(functions.ceil)),
     "fix": _each(_rounded(functions.trunc)), "round": _each(_rounded(functions.round_half_away)),
     "sinc": _each(_float(lambda x: where(x == 0.0, 1.0, functions.sin(math.pi * x) / (math.pi * x)))),

@@ -439,11 +439,6 @@ def _extreme(two: Callable[..., Any], one: Callable[..., Any]) -> Callable[..., 
     return lambda *v: _each(two)(*v) if len(v) == 2 else _reduced(one)(*v) if as_array(v[0]).size else as_array(v[0])
 
 
-def _diag(value: Value) -> Array:
-    array = as_array(value)
-    return np.diag(array.flatten()) if 1 in array.shape else np.diag(array)[:, None]
-
-
 def _found(value: Value, most: Value = None) -> Array:
     array = as_array(value)
     places = np.flatnonzero(array.flatten(order="F"))[: None if most is None else int(scalar(most))] + 1.0
@@ -532,7 +527,8 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "ones": _filled(1.0), "true": lambda *s: _filled(1.0)(*s).astype(bool),
     "eye": lambda *s: np.eye(*_filled(0.0)(*s).shape), "false": lambda *s: _filled(0.0)(*s).astype(bool),
     "realmax": _filled(float(np.finfo(float).max)), "realmin": _filled(float(np.finfo(float).tiny)),
-    "diag": _diag, "size": _size,
+    "size": _size,
+    "diag": lambda v: np.diag(as_array(v).flatten()) if 1 in as_array(v).shape else np.diag(as_array(v))[:, None],
     **{name: _each(getattr(np, name)) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor", "ceil",
        "sign", "hypot", "sinc")},
     "log2": _real(np.log2, 0.0), "log10": _real(np.log10, 0.0),
