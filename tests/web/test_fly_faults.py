@@ -74,7 +74,8 @@ def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPa
         before = main.bounding_box()
         page.get_by_role("button", name="Arm", exact=True).click()
         expect(messages.get_by_text("holds the lease")).to_be_visible()
-        expect(messages).not_to_contain_text("take_lease")  # words of Python
+        expect(messages).to_contain_text(": wait until it is given up")  # and nothing in words of Python
+        expect(messages).not_to_contain_text("take_lease")
         assert main.bounding_box() == before, "it moves the page"
         for size in SIZES.values():
             page.set_viewport_size({"width": size[0], "height": size[1]})
