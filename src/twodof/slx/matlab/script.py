@@ -1,8 +1,8 @@
 """Scripts that give names their values: callbacks, masks, .m files; and the values of .mat files.
 
 `run(code, workspace, folders)` carries out a script as a program. It calls the functions and scripts of .m files in
-these folders, and loads their .mat files: each is read behind the fence, and no other file is opened. A statement that
-is not computed is skipped and said by its line, and what it would have assigned is unknown afterwards.
+these folders, and reads their .mat and .csv files behind the fence; no other file is opened. A statement that is not
+computed is skipped and said by its line, and what it would have assigned is unknown afterwards.
 """
 
 import io
