@@ -52,10 +52,10 @@ export function leaseWord(state: DroneState, watches = false): Word {
 }
 
 /** Return the words of a drone's state in the order of the status bar. */
-export function stateWords(state: DroneState, watches = false): Word[] {
+export function stateWords(state: DroneState, watches = false, connected = true): Word[] {
   return [
-    linkWord(state),
-    armedWord(state),
+    connected ? linkWord(state) : { kind: "bad", text: "No server" },
+    armedWord(state, connected && state.link === "heard"),
     { kind: "plain", text: modeWord(state) },
     { ...failsafeWord(state), title: failsafeSentence(state) },
     leaseWord(state, watches),
