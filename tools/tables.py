@@ -196,9 +196,10 @@ def _fmea_short() -> Iterator[str]:
     pairs, flights = sum(component == "two at once" for component, _ in faults), sum(map(len, faults.values()))
     yield ""
     yield f"- {len(faults)} faults were flown, {pairs} of them pairs, in {flights} flights on both rigs."
-    yield f"- {strongest.count('none')} of them need no action, {strongest.count('off')} may end with motors off."
-    yield f"- {len(late)} leave motors on for more than {AT_A_STOP / 1e3:g} s after a stop was first met, at the worst:"
-    yield from ("", "| fault | on, s | why |", "|---|---|---|")
+    none, off = strongest.count("none"), strongest.count("off")
+    yield f"- {none} of them need no action, {off} may end with motors off, the others level or brake."
+    yield f"- {len(late)} leave motors on for more than {AT_A_STOP / 1e3:g} s after the drone first met an end stop:"
+    yield from ("", "| fault | motors on, s | why |", "|---|---|---|")
     for fault in late:
         yield f"| {': '.join(fault)} | {on[fault] / 1e3:.2f} | {faults[fault][0]['why']} |"
     yield ""

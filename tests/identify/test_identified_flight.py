@@ -94,7 +94,11 @@ def test_the_friction_of_a_rig_without_any_is_not_estimated() -> None:
     assert found.sigma("xi") < 8e-6
     assert abs(found["xi"] - 0.0836) < 4.0 * found.sigma("xi")
     mistaken = FlightLog(other.channels, {**other.provenance, "rig": "paper"})
-    assert any("dry friction explains" in one for one in identify_flight(mistaken).greybox.suggestions)
+    (said,) = [one for one in identify_flight(mistaken).greybox.suggestions if "dry friction explains" in one]
+    assert "--prior coulomb=0.2,inf" in said
+    told = identify_flight(mistaken, prior={"coulomb": (0.2, math.inf)}).greybox
+    assert abs(told["coulomb"] - 0.254) < 4.0 * told.sigma("coulomb")
+    assert not any("dry friction explains" in one for one in told.suggestions)
 
 
 @pytest.mark.parametrize("said", [{"flown": {"virtual": True}}, {"drone": {"rig": "paper", "virtual": True}}])

@@ -143,8 +143,10 @@ def test_a_function_knows_how_many_results_are_asked_for(tmp_path: Path) -> None
 
 def test_a_table_of_a_csv_file_is_grouped(tmp_path: Path) -> None:
     """A function finds the table in its folder; equal keys are averaged, as Octave does by unique and accumarray."""
-    table = "\ufefftime,signal,thrust\n0,1200,3\n1,1000,,\n2,1200,5e0\n3,1100,-1\n4,1000,7\n"
-    (tmp_path / "thrust test.csv").write_text(table.replace("1000,,", "1000,2"), encoding="utf-8")
+    table = "\ufefftime,signal,thrust\n0,1200,3\n1,1000,2\n2,1200,5e0\n3,1100,-1\n4,1000,7\n"
+    (tmp_path / "thrust test.csv").write_text(table, encoding="utf-8")
+    (tmp_path / "uneven.csv").write_text(table.replace("1000,2", "1000,,2"), encoding="utf-8")
+    (tmp_path / "column.csv").write_text("head\n1\n2\n", encoding="utf-8")
     code = """function [keys, of] = grouped(file)
     data = readtable(file);
     [keys, ~, at] = unique(data{:, 2});
@@ -160,6 +162,18 @@ def test_a_table_of_a_csv_file_is_grouped(tmp_path: Path) -> None:
     assert [np.asarray(names[one]).flatten().tolist() for one in ("keys", "of", "sums", "c", "first")] == [
         [1000.0, 1100.0, 1200.0], [4.5, -1.0, 4.0], [2.0, 4.0], [1.0, 2.0, 3.0], [2.0, 4.0, 1.0],
     ]  # fmt: skip
+    skipped = run(
+        "d = csvread('column.csv'); n = accumarray([2; 1; 2], 1);\nd = csvread('column.csv', 1, 0);\n"
+        "d = csvread('uneven.csv');\nd = filter([1 1], 1, [1 2; 3 4]);\nd = accumarray([1; 2], [1; 1], [5 1]);\n"
+        "d = unique([3 NaN 1]);",
+        names := {},
+        [tmp_path],
+    )
+    assert np.asarray(names["n"]).tolist() == [[1.0], [2.0]]
+    assert [one.line for one in skipped] == [2, 3, 4, 5, 6]
+    assert "different numbers of columns" in skipped[1].why
+    assert run("d = csvread('column.csv');", names, [tmp_path]) == []
+    assert np.asarray(names["d"]).tolist() == [[1.0], [2.0]]
 
 
 def test_what_is_not_computed_is_said_by_line_and_leaves_no_old_value() -> None:

@@ -221,8 +221,21 @@ end
 while any(v > 0) && k > 5
   v = v - .25; k = k - 1;
 end
+m = 0;
+while 1
+  m = m + 1;
+  if m > abs(y) + 3, break; end
+end
+while u > .5, y = y + m; break; end
 end
 """
+
+KEPT = """y = 0; while y < u, y = y + g(y); end
+end
+function r = g(x)
+persistent n
+if isempty(n), n = 0; end
+n = n + 1; r = n;"""
 
 BITS = """function [a, b, c, d, e, y] = f(u, v, w, s)
 a = typecast([u; v], 'int16');
@@ -406,6 +419,9 @@ def test_random_programs_have_octaves_values(tmp_path: Path) -> None:
         ("y = svd(u);", "line 2: svd is not computed"),
         ("for k = 1:u, y = k; end", "line 2: a range whose bounds are signals"),
         ("while u(1) > 0, u = [u; 1]; end, y = u;", "line 2: u changes its size or class in a loop"),
+        ("y = 0; s = 'a'; while y < u, y = y + 1; s = 'b'; end", "line 2: s changes in a loop .* and is no number"),
+        (KEPT, "line 2: g.n is kept and begins in a loop"),
+        ("y = 0; while 1, y = y + 1; if y > u, return; end, end", "line 2: a return that depends on signals"),
         ("if u > 0, y = 1; else, y = [1 2]; end", "line 2: y is 1 by 1 and 1 by 2 in two branches"),
         ("if u > 0, y = 1; else, y = true; end", "line 2: y is real and bool in two branches"),
         ("persistent p; y = p + u;", "line 2: p is read before it has a value"),

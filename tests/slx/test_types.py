@@ -892,6 +892,25 @@ def test_a_transposed_vector_is_a_row_to_products_and_a_vector_to_others(tmp_pat
     assert np.array_equal(found["c"], 2 * u)
 
 
+@pytest.mark.parametrize(("kind", "along"), [("Sum", "1"), ("Sum", "2"), ("Product", "1"), ("Product", "2")])
+def test_the_elements_of_a_row_are_joined_along_the_row_alone(tmp_path: Path, kind: str, along: str) -> None:
+    """Along the other dimension Simulink leaves the row as it is."""
+    values = {"Inputs": "+" if kind == "Sum" else "*", "CollapseMode": "Specified dimension", "CollapseDim": along}
+    blocks = [
+        ("Inport", "u", {"OutDataTypeStr": "double", "PortDimensions": "3"}),
+        ("Math", "row", {"Operator": "transpose"}),
+        (kind, "all", {**values, "Ports": "[1, 1]"}),
+        ("Outport", "y", {}),
+    ]
+    found = imported(tmp_path, blocks, [("u", "row"), ("row", "all"), ("all", "y")])
+    if along == "1":
+        assert [(one.path, one.status) for one in found.report] == [("all", "refused")]
+        return
+    u = DRAWN[:3].T.copy()
+    joined = u.sum(axis=1) if kind == "Sum" else u.prod(axis=1)
+    assert np.allclose(flown(found, {"u": u})["y"], joined, rtol=1e-13)
+
+
 def test_an_input_without_a_type_is_the_bus_that_is_selected_of_it(tmp_path: Path) -> None:
     blocks = [
         ("Inport", "in", {}),

@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import type { DroneState } from "../src/api/drones";
 import { ApiError } from "../src/api/client";
 import { figure } from "../src/chart/numbers";
-import { armedWord, leaseWord, stateWords } from "../src/state/words";
+import { armedWord, leaseWord } from "../src/state/words";
 
 describe("who commands", () => {
   const state = (part: Partial<DroneState>) =>
@@ -21,10 +21,6 @@ describe("whether it is armed", () => {
     expect(armedWord(armed("heard")).text).toBe("Armed");
     expect(armedWord(armed("lost"))).toEqual({ kind: "plain", text: "Armed when last heard" });
     expect(armedWord(armed("heard"), false).text).toBe("Armed when last heard");
-    const all = { ...armed("heard"), mode: "hold", failsafe: "none", ours_leases: true };
-    const words = (connected: boolean) => stateWords(all, false, connected).map(({ text }) => text);
-    expect(words(true).slice(0, 2)).toEqual(["Link", "Armed"]);
-    expect(words(false).slice(0, 2)).toEqual(["No server", "Armed when last heard"]);
   });
 });
 

@@ -64,8 +64,9 @@ def identify(
     model: Annotated[
         str,
         option(
-            f"Structure: {', '.join((AUTO, *STRUCTURES))} (auto: the paper's, for an impulse with friction); or one "
-            f"of the columns in --input and --output: {', '.join(FORMS)} (numbers of several inputs: 2/1).",
+            f"Structure: {', '.join((AUTO, *STRUCTURES))} (auto: the paper's, for an impulse with friction if the rig "
+            f"has it); or one of the columns in --input and --output: {', '.join(FORMS)} (numbers of several inputs: "
+            "2/1).",
         ),
     ] = AUTO,
     window: Annotated[

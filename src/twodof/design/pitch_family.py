@@ -101,6 +101,8 @@ PARAMETERS: Mapping[str, tuple[float, float]] = MappingProxyType(
 NOISE_SEED = 1
 _UNKNOWNS = 8
 """Unknowns of a pitch and its flight: each takes one independent gust to estimate."""
+_SHORTEST, _LONGEST = 1e-3, 100.0
+"""Correlation times that a rig can have [s]."""
 MOST_MEMBERS = 100_000
 _LEAST_TIME, _MOST = 1e-9, 1e300
 _USUAL_RADIUS = 0.775  # of the vibration's poles, which earlier models do not tell
@@ -138,9 +140,9 @@ class PitchFamily:
     `covariance` (k, k) is that of the parameters named in `uncertain`, in their order. `gust` [rad/s2] is the standard
     deviation of the disturbance, a Gauss-Markov process with the correlation time `gust_time` [s]. `q_noise` [rad/s] is
     the standard deviation of a sample of the measured rate, and `q_band` its colour (`FittedNoise`). `gust_freedom` is
-    the number of independent gusts from which `gust` was estimated; 0: it is known. `notes` say which estimates were
-    taken for their physical bound. Raises ParameterError for an unknown or missing name and for a number out of its
-    bounds.
+    the number of independent gusts in the `gust_flights` flights that told `gust`; 0: it is known. `notes` say which
+    estimates were taken for their physical bound. Raises ParameterError for an unknown or missing name and for a number
+    out of its bounds.
     """
 
     values: Mapping[str, float]
@@ -151,6 +153,7 @@ class PitchFamily:
     q_noise: float = 0.0
     q_band: tuple[float, float] = (0.0, 0.0)
     gust_freedom: float = 0.0
+    gust_flights: int = 1
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -160,7 +163,8 @@ class PitchFamily:
         figures |= {name: (getattr(self, name), 0.0, _MOST) for name in ("gust", "q_noise")}
         figures["gust_time"] = (self.gust_time, _LEAST_TIME, _MOST)
         figures |= {"q_band[0]": (self.q_band[0], 0.0, 0.5 / PERIOD), "q_band[1]": (self.q_band[1], 0.0, 0.999)}
-        figures["gust_freedom"] = (self.gust_freedom, 0.0, _MOST)
+        figures["gust_freedom"] = (self.gust_freedom, 1e-6 if self.gust_freedom else 0.0, _MOST)
+        figures["gust_flights"] = (self.gust_flights, 0, _MOST)
         for name, (value, low, high) in figures.items():
             if not is_number(value, low, high):
                 raise _error(f"{name} = {shown(value)} is out of range", f"give a number from {low:g} to {high:g}")
@@ -270,18 +274,19 @@ class PitchFamily:
         mean = dict(zip(wanted, rows.mean(axis=0).tolist(), strict=True))
         # The next flight differs from this mean by its own part and by what the mean is off.
         p = np.atleast_2d(np.cov(rows, rowvar=False, ddof=1)) * (1.0 + 1.0 / len(rows))
-        gust, gyro = (
-            math.sqrt(float(np.mean([getattr(one, name) ** 2 for one in flights]))) for name in ("gust", "q_noise")
-        )
-        lasting = float(np.mean([one.gust_time for one in flights]))
-        disturbance = gust, lasting, gyro, flights[0].q_band, sum(one.gust_freedom for one in flights)
+        gyro = math.sqrt(float(np.mean([one.q_noise**2 for one in flights])))
+        lasting = 1.0 / float(np.mean([1.0 / one.gust_time for one in flights]))
+        gust = math.sqrt(lasting * float(np.mean([one.gust**2 / one.gust_time for one in flights])))
+        told = [one.gust_freedom * one.gust_time for one in flights if one.gust_freedom]
+        disturbance = gust, lasting, gyro, flights[0].q_band, sum(told) / lasting, len(told)
         return cls({**flights[0].values, **mean}, tuple(wanted), p, *disturbance, flights[0].notes)
 
     def disturbed(
         self, gust: float | None = None, gust_time: float | None = None, q_noise: float | None = None
     ) -> Self:
-        """Return the family with another disturbance; None leaves a figure as it is."""
+        """Return the family with another disturbance; None leaves a figure as it is. A given gust is known."""
         given: dict[str, Any] = {"gust": gust, "gust_time": gust_time, "q_noise": q_noise}
+        given["gust_freedom"] = None if gust is None and gust_time is None else 0.0
         return replace(self, **{name: value for name, value in given.items() if value is not None})
 
     def nominal(self) -> PitchMembers:
@@ -306,17 +311,18 @@ class PitchFamily:
     def gusts(self, count: int, seed: int = NOISE_SEED) -> tuple[Array, Array]:
         """Draw standard deviation and correlation time [s] of the gust, each (count,), as far as they are open.
 
-        A record of length S tells the power of what is new in a gust, 2 gust^2 / gust_time, by its freedom less the
+        A flight of length S tells the power of what is new in a gust, 2 gust^2 / gust_time, by its freedom less the
         unknowns of the fit. It tells the rate r = 1 / gust_time to sqrt(2 r / S), and takes it for 4 / S too fast
-        (Marriott and Pope, 1954; Kendall, 1954). So a short record has gusts that are too weak and too short.
+        (Marriott and Pope, 1954; Kendall, 1954). So a short flight has gusts that are too weak and too short. None is
+        drawn longer than all flights together: of fewer than 6 gusts half of the draws are as long.
         """
         if not self.gust_freedom:
             return np.full(count, self.gust), np.full(count, self.gust_time)
-        rng = np.random.default_rng((seed, 1))
-        length, freedom = self.gust_freedom * self.gust_time, max(self.gust_freedom - _UNKNOWNS, 4.0)
-        slowest, mean, variance = 1.0 / length, 1.0 / self.gust_time - 4.0 / length, 2.0 / (self.gust_time * length)
-        mean = max(mean, slowest)
-        rate = np.maximum(rng.gamma(mean**2 / variance, variance / mean, count), slowest)
+        rng, flights = np.random.default_rng((seed, 1)), max(1, self.gust_flights)
+        length, freedom = self.gust_freedom * self.gust_time, max(self.gust_freedom - flights * _UNKNOWNS, 4.0)
+        slowest, variance = max(1.0 / length, 1.0 / _LONGEST), 2.0 / (self.gust_time * length)
+        mean = max(1.0 / self.gust_time - 4.0 * flights / length, slowest)
+        rate = np.clip(rng.gamma(mean**2 / variance, variance / mean, count), slowest, 1.0 / _SHORTEST)
         power = freedom / rng.chisquare(freedom, count) / self.gust_time
         return np.asarray(self.gust * np.sqrt(power / rate)), np.asarray(1.0 / rate)
 
@@ -337,6 +343,7 @@ class PitchFamily:
             "q_noise": self.q_noise,
             "q_band": list(self.q_band),
             "gust_freedom": self.gust_freedom,
+            "gust_flights": self.gust_flights,
         }
 
     @classmethod
@@ -355,6 +362,7 @@ class PitchFamily:
                 float(data["q_noise"]),
                 (float(band[0]), float(band[1])),
                 float(data.get("gust_freedom", 0.0)),
+                int(data.get("gust_flights", 1)),
             )
         except (KeyError, TypeError, ValueError, IndexError) as reason:
             raise _error(f"this is not a family ({reason!s:.80})", "give the `family` of a promise", where) from reason

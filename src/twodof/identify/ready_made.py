@@ -300,7 +300,7 @@ SWING = ("w_n", "xi", "coulomb", "hardening")
 """What a free response tells and a doublet hardly does: it is over before the poles show."""
 
 SWUNG = (*SWING, "theta_0", "q_0")
-"""What is estimated of a free response by default."""
+"""What is estimated of a free response by default; friction only where the rig has it."""
 
 TRAVEL = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0")
 """What a motion along the rail tells. The range sensor's age beyond its stamp passes for less friction if it is 0."""
@@ -501,8 +501,13 @@ def _with_friction(found: Estimate, records: Sequence[Record]) -> Estimate:
     before, after = (sum(one.rmse for one in both.identification) for both in (found, other))
     if not after < _FRICTION * before:
         return found
+    remedy = "the structure free-response (--model free-response)"
+    if "coulomb" in found.fixed:
+        remedy = (
+            "prior={'coulomb': (0.2, math.inf)} (--prior coulomb=0.2,inf), though the rig that the log names has none"
+        )
     said = (
-        f"dry friction explains the free response: the residual falls from {before:.2g} to {after:.2g} rad/s with the "
-        "structure free-response (--model free-response)"
+        f"dry friction explains the free response: the residual falls from {before:.2g} to {after:.2g} rad/s with "
+        f"{remedy}"
     )
     return replace(found, suggestions=(*found.suggestions, said))

@@ -388,12 +388,17 @@ def carried_out(c: Asked, rule: Rule) -> Made:
     Raises NotTranslated if the block does not take one of the signals.
     """
     kind, matrices = c.block.kind, [one.shape for one in c.inputs if one.shape is not None]
-    if kind in RULES and kind not in _TAKES_ROWS and matrices and all(one[0] == 1 for one in matrices):
+    rows = bool(matrices) and all(one[0] == 1 for one in matrices)
+    if kind in ("Sum", "Product") and len(c.inputs) == 1 and c.text("CollapseMode")[:9] == "Specified":
+        if c.text("CollapseDim", "1") != ("2" if rows else "1"):
+            raise NotTranslated("CollapseMode = Specified dimension is translated along the vector only")
+    if odd := [one for one in c.inputs if one.kind in STORED and kind in RULES and kind not in TAKES_SMALL]:
+        raise NotTranslated(f"an input that is {odd[0]} is not translated")
+    if kind in RULES and kind not in _TAKES_ROWS and rows:
         if c.text("Multiplication")[:6] != "Matrix" and c.text("Mode")[:5] != "Multi":
             return _of_columns(c, rule)
     for one in c.inputs if kind in RULES else ():
-        small = one.kind in STORED and kind not in TAKES_SMALL
-        if small or (one.shape is not None and kind not in TAKES_MATRICES):
+        if one.shape is not None and kind not in TAKES_MATRICES:
             raise NotTranslated(f"an input that is {one} is not translated")
     if kind in RULES and kind not in TAKES_BUSES and any(isinstance(one.kind, Bus) for one in c.inputs):
         return _of_vectors(c, rule)

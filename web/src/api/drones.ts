@@ -62,7 +62,7 @@ export const setMode = (drone: number, mode: string) => send<DroneState>("POST",
 export const takeLease = (drone: number) => send<DroneState>("POST", `drones/${drone}/lease`);
 export const giveLeaseBack = (drone: number) => send<DroneState>("DELETE", `drones/${drone}/lease`);
 export const reset = (drone: number, how: Reset) => send<DroneState>("POST", `drones/${drone}/reset`, how);
-/** Put a virtual drone to the middle of the rail, at rest, its noise to 1: no state tells the one it has. */
+/** Put a virtual drone to the middle of the rail, at rest. */
 export const restart = ({ system, seed, rings_locked }: DroneState, rings = rings_locked) =>
   reset(system, { seed: seed || 1, x: 0, noise: 1, rings });
 

@@ -52,10 +52,10 @@ export function leaseWord(state: DroneState, watches = false): Word {
 }
 
 /** Return the words of a drone's state in the order of the status bar. */
-export function stateWords(state: DroneState, watches = false, connected = true): Word[] {
+export function stateWords(state: DroneState, watches = false): Word[] {
   return [
-    connected ? linkWord(state) : { kind: "bad", text: "No server" },
-    armedWord(state, connected && state.link === "heard"),
+    linkWord(state),
+    armedWord(state),
     { kind: "plain", text: modeWord(state) },
     { ...failsafeWord(state), title: failsafeSentence(state) },
     leaseWord(state, watches),

@@ -18,6 +18,7 @@ import numpy as np
 from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import convert, where
 from twodof.blocks.expressions.numbers import STORED
+from twodof.errors import LogError
 from twodof.flightlog import fence
 from twodof.slx.matlab.signals import OPERATORS as SIGNAL_OPERATORS
 from twodof.slx.matlab.signals import SIGNAL_FUNCTIONS, of_signals
@@ -57,8 +58,10 @@ def script_text(data: bytes, where: str) -> fence.Answer:
 
 def table_values(data: bytes, where: str) -> fence.Answer:
     """Return the numbers of a table (.csv) behind the fence, without its head; NaN for what is no number."""
-    numbers = np.genfromtxt(io.StringIO(script_text(data, where)[0]), delimiter=",", invalid_raise=False, loose=True)
-    rows = np.atleast_2d(numbers)
+    try:
+        rows = np.genfromtxt(io.StringIO(script_text(data, where)[0]), delimiter=",", loose=True, ndmin=2)
+    except ValueError:
+        raise LogError("its rows have different numbers of columns", where, "make them alike") from None
     rows = rows[1:] if rows.size and np.isnan(rows[0]).all() else rows
     return list(rows.shape), [rows.astype(float).flatten()]
 
@@ -92,7 +95,14 @@ class Evaluation:
         """
         before, self.names = self.names, dict(self.names)
         turn()
-        changed = {name: as_array(value) for name, value in before.items() if self.names.get(name) is not value}
+        if begun := [name for name in self.names.keys() - before.keys() if "." in name]:
+            raise NotComputed(f"{begun[0].strip('.?')} is kept and begins in a loop whose turns depend on signals")
+        other = {name: value for name, value in before.items() if self.names.get(name) is not value}
+        if text := [
+            k for k, v in other.items() if not (isinstance(v, np.ndarray) and isinstance(self.names[k], np.ndarray))
+        ]:
+            raise NotComputed(f"{text[0]} changes in a loop whose turns depend on signals, and is no number")
+        changed = {name: as_array(value) for name, value in other.items()}
         kinds = {name: class_of(array) for name, array in changed.items()}
 
         def arrays(scalars: Iterator[Any]) -> dict[str, Value]:
@@ -113,7 +123,7 @@ class Evaluation:
             held, last = turn()
             on = goes & held
             now = [where(on, new, old) for new, old in zip(elements(self.names), scalars, strict=True)]
-            return [on if last is False else on & ~last, *now]
+            return [on & (not last) if isinstance(last, bool) else on & ~last, *now]
 
         _, *last = fold(most, [True, *elements(before)], step)
         self.names = {**before, **arrays(iter(last))}

@@ -21,11 +21,12 @@ LIBRARY = {
     for k = 2:numel(v), s(k) = s(k - 1) + v(k); end""",
     "filter": """
     function y = filter(b, a, x)
-    if numel(a) > 1, refused('a filter with poles is not translated'); end
+    if numel(a) > 1 || min(size(x)) > 1, refused('a filter with poles or of a matrix is not translated'); end
     n = numel(x); y = 0 * x;
     for k = min(numel(b), n):-1:1, y(k:n) = y(k:n) + b(k) / a * x(1:n - k + 1); end""",
     "unique": """
     function [c, ia, ic] = unique(v)
+    if any(isnan(v(:))), refused('unique of NaN is not translated'); end
     s = sort(v(:)); c = s(1); ic = zeros(numel(v), 1);
     for k = 2:numel(s), if s(k) ~= s(k - 1), c = [c; s(k)]; end, end
     ia = zeros(size(c));
@@ -33,7 +34,9 @@ LIBRARY = {
     if size(v, 1) == 1, c = c'; end""",
     "accumarray": """
     function y = accumarray(at, v, whole, of)
+    if min(size(at)) > 1 || (nargin > 2 && numel(whole) > 0), refused('accumarray of a size is not translated'); end
     y = zeros(max(at), 1);
+    if numel(v) == 1, v = v * ones(size(at)); end
     if nargin < 4, of = @sum; end
     for k = 1:numel(y), if any(at == k), y(k) = of(v(at == k)); end, end""",
     "cross": """

@@ -46,7 +46,7 @@ from twodof.slx.matlab.values import (
     stored,
 )
 
-DEEPEST_CALLS, MOST_TURNS = 20, 1000
+DEEPEST_CALLS, MOST_TURNS, _RETURNING_TURNS = 20, 1000, 40
 _TABLE = re.compile(r"\w[\w. -]{0,100}\.csv")
 EMPTY = np.zeros((0, 0))
 IN_BASE = "base/."
@@ -357,8 +357,10 @@ class Program:
             if self._left() is True:
                 break
 
-    def _while(self, condition: Tree, body: Tree) -> None:
+    def _while(self, condition: Tree, body: Tree, turns: int = 0) -> None:
         """Carry out the turns of a `while`, those behind one that depends on signals as a loop."""
+        if turns > _RETURNING_TURNS:
+            raise NotComputed(f"a return that depends on signals, out of a loop of more than {_RETURNING_TURNS} turns")
         for name in _LEAVING.values():
             self.evaluation.names.pop(name, None)
         left: Any = False
@@ -373,10 +375,15 @@ class Program:
             self.evaluation.names.pop("#continue", None)
             left = self._left()
         if left is not True:
-            self.either(left, lambda: None, partial(self._while, condition, body))
+            more = partial(self._while, condition, body, turns + 1)
+            self.either(
+                left, lambda: None, more if "#return" in self.evaluation.names else partial(self._loop, condition, body)
+            )
 
     def _loop(self, condition: Tree, body: Tree) -> None:
         """Record the turns of a `while` whose condition is a signal, as a loop of a bounded number of turns."""
+        for name in _LEAVING.values():
+            self.evaluation.names.pop(name, None)
 
         def turn() -> Any:
             held = truth(self.value(condition))
@@ -389,7 +396,10 @@ class Program:
             return held, left
 
         self.evaluation.repeat(turn, MOST_TURNS)
-        self.code.notes.append(f"a loop turns {MOST_TURNS} times at most")
+        self.code.notes.append(
+            f"a loop whose turns depend on signals ends after {MOST_TURNS} turns, where MATLAB goes on; each step "
+            "computes as many"
+        )
 
     # --- expressions
 
@@ -588,6 +598,8 @@ class Program:
         if name in ("evalin", "assignin") and len(arguments) > 1:
             return self._of_base(*arguments[:2], *arguments[2:3])
         if name in ("readtable", "readmatrix", "csvread") and arguments:
+            if len(arguments) > 1:
+                raise NotComputed(f"{name} with more than the name of a file is not computed")
             return self.code.table(arguments[0])
         if name == "exist" and arguments:
             return np.array([[float(arguments[0] in self.evaluation.names)]])

@@ -28,7 +28,6 @@ export class MeasuredSteps {
   private live = $state.raw<readonly FlownStep[]>([]);
   private logged = $state.raw<readonly MeasuredStep[]>([]);
   private log = $state("");
-  private readonly turns = { asked: 0, told: 0 };
   private readonly history = new History([...new Set(STEP_COLUMNS)]);
   private readonly watch = new StepWatch(this.history);
   /** Values of the parameters, as the page shows them, by the start of the step that was flown with them [s]. */
@@ -99,14 +98,15 @@ export class MeasuredSteps {
   }
 
   private async read(name: string): Promise<void> {
-    const turn = ++this.turns.asked;
-    // Scaled to 1, so that another goal needs no further question; a log of something else has no steps.
-    const { steps } = await measuredSteps(this.drone, name, 0.5).catch(() => ({ steps: [] }));
-    if (steps.length === 0) return;
-    const summary = await logSummary(name).catch(() => undefined);
-    if (turn < this.turns.told) return;
-    this.turns.told = turn;
-    this.log = summary && "span" in summary ? `${name}: ${flown(summary)}` : name;
-    this.logged = steps.map((step) => ({ ...step, theta: step.theta.map((value) => value / 0.5) }));
+    try {
+      // Scaled to 1, so that another goal needs no further question.
+      const { steps } = await measuredSteps(this.drone, name, 0.5);
+      if (steps.length === 0) return;
+      const summary = await logSummary(name);
+      this.log = "span" in summary ? `${name}: ${flown(summary)}` : name;
+      this.logged = steps.map((step) => ({ ...step, theta: step.theta.map((value) => value / 0.5) }));
+    } catch {
+      // A log of something else.
+    }
   }
 }
