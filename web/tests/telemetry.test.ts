@@ -135,12 +135,18 @@ describe("the socket", () => {
     expect(seen).toEqual([true]);
     vi.advanceTimersByTime(500);
     expect(seen).toEqual([true, false]);
+    vi.advanceTimersByTime(2500);
+    expect(sockets[0]!.closed).toBe(false);
+    last().tell(rows(9)); // a server that was only slow: closing would have disarmed the drone
+    expect(seen).toEqual([true, false, true]);
+    vi.advanceTimersByTime(6000);
+    expect(seen).toEqual([true, false, true, false, false]);
     expect(sockets[0]!.closed).toBe(true);
     vi.advanceTimersByTime(250 + 6000);
     expect(sockets[1]!.closed).toBe(false);
     sockets[1]!.open();
     expect(sockets[1]!.closed).toBe(true);
-    expect(seen).toEqual([true, false, false]);
+    expect(seen).toEqual([true, false, true, false, false, false]);
   });
 
   it("is not lost by a page that stood still for longer, with what came meanwhile unread", () => {

@@ -33,12 +33,12 @@ interface Subscription {
 
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
-/** A socket that is silent for so long is lost; the server says every second that it is there. */
+/** A socket that is silent for so long is told as lost, and later given up; the server says each second "alive". */
 const SILENCE_MS = 3000;
-const CONNECT_MS = 6000;
+const LOST_MS = 6000;
 /** Last part of it, so that a page that stood still reads its queue first. */
 const AWAKE_MS = 500;
-const CONNECTING = 0;
+const [CONNECTING, OPEN] = [0, 1];
 
 export class Telemetry {
   private readonly subscriptions = new Map<number, Subscription>();
@@ -75,8 +75,7 @@ export class Telemetry {
 
   /** Give the socket up, also one that still connects, and open a new one at once. */
   again(): void {
-    this.drop();
-    this.say(false);
+    this.stop();
     this.hurry();
   }
 
@@ -109,16 +108,9 @@ export class Telemetry {
 
   private open(): void {
     clearTimeout(this.retry);
-    const socket = this.connect();
-    this.socket = socket;
+    const socket = (this.socket = this.connect());
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => {
-      this.attempts = 0;
-      this.connected = true;
-      this.heard();
-      for (const id of this.subscriptions.keys()) this.ask(id);
-      this.say(true);
-    };
+    socket.onopen = () => this.heard();
     socket.onmessage = (message: MessageEvent) => {
       this.heard();
       if (message.data instanceof ArrayBuffer) this.rows(message.data);
@@ -126,7 +118,7 @@ export class Telemetry {
     };
     socket.onclose = () => this.lost();
     // A server that accepts and then says nothing, before the socket is open, is lost as well.
-    this.heard(CONNECT_MS);
+    this.heard();
   }
 
   private ask(id: number): void {
@@ -163,11 +155,20 @@ export class Telemetry {
       }
   }
 
-  private heard(within = SILENCE_MS): void {
+  private heard(): void {
     clearTimeout(this.silence);
-    this.silence = setTimeout(() => {
-      this.silence = setTimeout(() => this.lost(), AWAKE_MS);
-    }, within - AWAKE_MS);
+    if (!this.connected && this.socket?.readyState === OPEN) {
+      this.connected = true;
+      this.attempts = 0;
+      for (const id of this.subscriptions.keys()) this.ask(id);
+      this.say(true);
+    }
+    const then = (wait: number, act: () => void) => (this.silence = setTimeout(act, wait));
+    const hush = () => {
+      if (this.connected) this.say((this.connected = false));
+      then(LOST_MS - SILENCE_MS, () => this.lost());
+    };
+    then(SILENCE_MS - AWAKE_MS, () => then(AWAKE_MS, hush));
   }
 
   private drop(): void {
