@@ -260,7 +260,7 @@ class _Plan:
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:
-            wanted = SWUNG
+            wanted = tuple(name for name in SWUNG if name != "coulomb" or self.values[name] > 0.0)
         # In a short flight dead time and lag have nearly the same effect, and their sum is wanted: the lag is held.
         # A closed loop separates them.
         wanted = wanted if self.kind == "attitude" else tuple(name for name in wanted if name != "lag")

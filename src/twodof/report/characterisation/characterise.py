@@ -123,7 +123,8 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
         return found
 
     free = identify(flights.impulses, SWING if dry_friction else ("w_n", "xi"), swung)
-    held = {name: free[name] for name in SWING} if free is not None else {}
+    # A rig without dry friction has it fixed.
+    held = {name: free.fixed[name] if name in free.fixed else free[name] for name in SWING} if free else {}
     told = tuple(name for name in swing.estimate if name not in held)
     pushed = partial(fit, swing, estimate=told, values={**flights.machine.values(swing), **held})
     pulse = identify(flights.impulses, (), pushed) if held else None
