@@ -94,12 +94,13 @@ def test_noise_is_parted_into_gust_and_vibration() -> None:
     assert found.q_band == (pytest.approx(38.0, rel=0.02), pytest.approx(0.6, rel=0.05))
 
 
-@pytest.mark.parametrize(("length", "widest"), [(1.2, 4.0), (20.0, 2.0)])
+@pytest.mark.parametrize(("length", "widest"), [(1.2, 3.3), (20.0, 1.7)])
 def test_gusts_are_drawn_around_the_true_ones(length: float, widest: float) -> None:
     """Records of a gust of .1 s, each estimated by its samples alone: the short ones take it for too short.
 
-    The interval of the strength is at most `widest` times as wide as it would be around the estimates' own spread.
-    Sensor noise, which these records do not have, hides some of the gust, so the draws allow for more than they need.
+    The interval of the strength is at most `widest` times as wide as it would be around the estimates' own spread: 2.6
+    and 1.3 times with these seeds, and a third more. Sensor noise, which these records do not have, hides some of the
+    gust, so the draws allow for more than they need.
     """
     from scipy.signal import lfilter
     from scipy.stats import binomtest

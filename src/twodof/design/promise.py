@@ -451,9 +451,8 @@ def _plants(family: PitchFamily, members: int, seed: int) -> tuple[PitchLoop, Pi
 
     Half the time of a short promise would go into their matrices, which no gain changes.
     """
-    return PitchLoop(family.draw(members, seed), _OPEN, family.gusts(members, seed)[1]), PitchLoop(
-        family.nominal(), _OPEN
-    )
+    _, times = family.gusts(members, seed)
+    return PitchLoop(family.draw(members, seed), _OPEN, times), PitchLoop(family.nominal(), _OPEN)
 
 
 def promise(
