@@ -16,8 +16,7 @@ SAME = "fly-an-experiment.md"
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, id=page.name, marks=[pytest.mark.soak] if page.name == SAME else []) for page in PAGES],
+    "page", [pytest.param(page, id=page.name, marks=[pytest.mark.soak] if page.name == SAME else []) for page in PAGES]
 )
 def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path, log_folder: Path | None) -> None:
     """Each page, the tutorials among them: from an empty folder, in its order, with the files that it has one save."""

@@ -125,11 +125,6 @@ def run(quick: bool = False) -> list[Figure]:
             "ms",
             remark="estimate only; the delay by interpolating the input",
         ),
-        Figure(
-            "fit over scipy with lfilter",
-            filters.median / ours.median,
-            "times as fast",
-            1.0,
-        ),
+        Figure("fit over scipy with lfilter", filters.median / ours.median, "times as fast", 1.0),
         Figure("difference to scipy's minimum", gap, "sigma", AGREE, at_most=True, remark="both minimise one sum"),
     ]

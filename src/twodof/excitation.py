@@ -22,14 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.blocks.enumeration import plain_data
-from twodof.blocks.library.sources import (
-    LAWS,
-    MAX_HARMONIC,
-    MAX_LINES,
-    PATTERNS,
-    TAPS,
-    shifted,
-)
+from twodof.blocks.library.sources import LAWS, MAX_HARMONIC, MAX_LINES, PATTERNS, TAPS, shifted
 from twodof.errors import DiagramError, ExperimentError
 
 LIMITS: Mapping[str, float] = MappingProxyType({"-": 1.0, "rad": radians(50.0), "rad/s": 10.0, "m": 0.4, "m/s": 2.0})
@@ -85,11 +78,8 @@ class Excitation(ABC):
         if not 0.0 < self.peak <= limit * (1.0 + 1e-12):
             degrees = self.unit in ("rad", "rad/s")
             hint = f"; if {self.peak:g} is in degrees, give {radians(self.peak):.4g}" if degrees else ""
-            raise self._mistake(
-                "amplitude",
-                f"peak {self.peak:g} {self.unit} is not within 0 to {limit:.4g}",
-                f"choose a smaller one{hint}" if self.peak else "choose one that is not zero",
-            )
+            remedy = f"choose a smaller one{hint}" if self.peak else "choose one that is not zero"
+            raise self._mistake("amplitude", f"peak {self.peak:g} {self.unit} is not within 0 to {limit:.4g}", remedy)
         if self.duration > MAX_DURATION_S:
             raise self._mistake("duration", f"it lasts {self.duration:g} s", f"use at most {MAX_DURATION_S:g} s")
 
@@ -342,12 +332,7 @@ class Multisine(Excitation):
 
     @classmethod
     def schroeder(
-        cls,
-        peak: float,
-        period: float,
-        harmonics: Iterable[int],
-        powers: Iterable[float] | None = None,
-        **options: Any,
+        cls, peak: float, period: float, harmonics: Iterable[int], powers: Iterable[float] | None = None, **options: Any
     ) -> Self:
         """Return the multisine with Schroeder's phases, scaled to a largest absolute value of `peak`.
 
@@ -359,18 +344,13 @@ class Multisine(Excitation):
             not all(isinstance(line, Integral) and 1 <= line <= MAX_HARMONIC for line in lines)
             or len(lines) > MAX_LINES
         ):
-            raise ExperimentError(
-                "a harmonic is not a whole number in bounds, or there are too many",
-                f"{cls.kind}.harmonics",
-                f"give at most {MAX_LINES} whole numbers from 1 to {MAX_HARMONIC}",
-            )
+            what = "a harmonic is not a whole number in bounds, or there are too many"
+            remedy = f"give at most {MAX_LINES} whole numbers from 1 to {MAX_HARMONIC}"
+            raise ExperimentError(what, f"{cls.kind}.harmonics", remedy)
         power = np.ones(len(lines)) if powers is None else np.asarray(tuple(powers), dtype=np.float64)
         if not lines or power.shape != (len(lines),) or not (np.all(power >= 0.0) and 0.0 < power.sum() < np.inf):
-            raise ExperimentError(
-                "the powers of the harmonics are not all 0 or more, or are all 0",
-                f"{cls.kind}.powers",
-                "give one power for each harmonic",
-            )
+            what = "the powers of the harmonics are not all 0 or more, or are all 0"
+            raise ExperimentError(what, f"{cls.kind}.powers", "give one power for each harmonic")
         share = power / power.sum()
         # phi_n = -2 pi sum_{l<n} (n - l) p_l: the group delay moves through the period as the power does.
         phases = -2.0 * pi * np.concatenate(([0.0], np.cumsum(np.cumsum(share))[:-1]))
@@ -385,11 +365,8 @@ class Multisine(Excitation):
         if any(line != int(line) or line < 1 for line in lines) or len(set(lines)) != len(lines):
             raise self._mistake("harmonics", "they must be different whole numbers from 1 on")
         if len(lines) > MAX_LINES or max(lines) > MAX_HARMONIC:
-            raise self._mistake(
-                "harmonics",
-                f"there are {len(lines)}, up to the {max(lines):g}th",
-                f"give at most {MAX_LINES}, up to the {MAX_HARMONIC}th",
-            )
+            remedy = f"give at most {MAX_LINES}, up to the {MAX_HARMONIC}th"
+            raise self._mistake("harmonics", f"there are {len(lines)}, up to the {max(lines):g}th", remedy)
         if max(lines) / self.period > HIGHEST_HZ:
             raise self._mistake(
                 "harmonics", f"{max(lines) / self.period:g} Hz cannot be played", f"stay under {HIGHEST_HZ:g} Hz"
@@ -397,11 +374,8 @@ class Multisine(Excitation):
         object.__setattr__(self, "harmonics", tuple(int(line) for line in lines))
         for name in ("amplitudes", "phases"):
             if len(self._numbers(name)) != len(lines):
-                raise self._mistake(
-                    name,
-                    f"there are {len(getattr(self, name))} for {len(lines)} harmonics",
-                    "give one for each harmonic",
-                )
+                remedy = "give one for each harmonic"
+                raise self._mistake(name, f"there are {len(getattr(self, name))} for {len(lines)} harmonics", remedy)
 
     @property
     def pattern(self) -> float:
@@ -430,11 +404,8 @@ def from_dict(values: Mapping[str, Any]) -> Excitation:
     if not isinstance(kind, str) or kind not in KINDS:
         raise ExperimentError(f"unknown kind {kind!r}", "excitation", f"there are: {', '.join(KINDS)}")
     if values.get("version") != _VERSION:
-        raise ExperimentError(
-            f"it has version {values.get('version')!r}, and this twodof reads version {_VERSION}",
-            kind,
-            "use another version of twodof",
-        )
+        what = f"it has version {values.get('version')!r}, and this twodof reads version {_VERSION}"
+        raise ExperimentError(what, kind, "use another version of twodof")
     given = {name: value for name, value in values.items() if name not in ("kind", "version")}
     make: Callable[..., Excitation] = KINDS[kind]
     known = [one.name for one in fields(KINDS[kind])]

@@ -111,11 +111,7 @@ def test_a_flight_is_known_by_its_experiment(tmp_path: Path, shell: Shell) -> No
     ],
 )
 def test_what_cannot_be_identified_is_said(
-    pitch_logs: tuple[Path, Path],
-    arguments: list[str],
-    status: int,
-    says: str,
-    shell: Shell,
+    pitch_logs: tuple[Path, Path], arguments: list[str], status: int, says: str, shell: Shell
 ) -> None:
     out, err = shell(["identify", str(pitch_logs[0]), *arguments], status)
     assert out == ""
@@ -173,10 +169,7 @@ def test_several_flights_say_how_far_they_spread(tmp_path: Path, shell: Shell) -
 
 @pytest.mark.parametrize(
     ("more", "says"),
-    [
-        (["--method", "simple"], "by hand one log is read"),
-        (["--validate", "third.csv"], "compared with each other"),
-    ],
+    [(["--method", "simple"], "by hand one log is read"), (["--validate", "third.csv"], "compared with each other")],
 )
 def test_several_flights_are_compared_with_each_other_only(
     pitch_logs: tuple[Path, Path], more: list[str], says: str, shell: Shell

@@ -212,11 +212,7 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, shell: Shell) 
     ],
 )
 def test_wrong_options_are_refused_with_a_remedy(
-    folder: Path,
-    arguments: list[str],
-    reason: str,
-    capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    folder: Path, arguments: list[str], reason: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
     assert run(["identify", "m.csv", *arguments]) in (1, 2)

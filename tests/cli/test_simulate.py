@@ -118,11 +118,7 @@ def test_a_users_controller_flies_tuned(tmp_path: Path, shell: Shell) -> None:
     ],
 )
 def test_a_controller_that_cannot_fly_is_refused(
-    arguments: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    shell: Shell,
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.setenv("TWODOF_DATA", str(tmp_path))
     assert said in shell(["simulate", "attitude-steps", *arguments], 2).err

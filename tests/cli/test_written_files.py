@@ -116,12 +116,7 @@ def places(folder: Path, command: str, suffix: str) -> dict[str, Path]:
 
 @pytest.mark.parametrize(("command", "suffix", "work"), WORK)
 def test_a_place_is_checked_before_the_work(
-    command: str,
-    suffix: str,
-    work: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    shell: Shell,
+    command: str, suffix: str, work: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.setattr(work, lambda *_, **__: pytest.fail("the work was begun"))
     for said, place in places(tmp_path, command, suffix).items():

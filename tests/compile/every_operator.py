@@ -72,10 +72,7 @@ REAL: dict[str, Operation] = {
 }
 FLOAT: dict[str, Operation] = {name: made for name, made in REAL.items() if name not in ("low", "high")}
 STORING = {kind: getattr(blocks, f"to_{kind}") for kind in STORED}
-FLOATING: dict[str, Operation] = {
-    "single": lambda a, b: to_float32(a),
-    "double": lambda a, b: to_float64(a),
-}
+FLOATING: dict[str, Operation] = {"single": lambda a, b: to_float32(a), "double": lambda a, b: to_float64(a)}
 STORAGE: dict[str, Operation] = {
     f"{overflow}_{kind}": partial(lambda store, overflow, a, b: store(a, overflow=overflow), store, overflow)
     for kind, store in STORING.items()
@@ -100,12 +97,7 @@ KINDS: dict[str, dict[str, Operation]] = {
     | WHOLE
     | FLOATING
     | STORAGE
-    | {
-        "int32": lambda a, b: to_int32(a),
-        "mulhi": multiply_high,
-        "bits": from_bits,
-        "word": lambda a, b: from_bits(a),
-    },
+    | {"int32": lambda a, b: to_int32(a), "mulhi": multiply_high, "bits": from_bits, "word": lambda a, b: from_bits(a)},
     "bool": LOGIC
     | {
         "eq": COMPARISONS["eq"],

@@ -32,10 +32,7 @@ class Pendulum(Block):
 
     inputs = (Port("moment"),)
     outputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
-    states = (
-        State("theta", "theta0", unit="rad", continuous=True),
-        State("q", 0.0, unit="rad/s", continuous=True),
-    )
+    states = (State("theta", "theta0", unit="rad", continuous=True), State("q", 0.0, unit="rad/s", continuous=True))
     params = (Param("theta0", 0.1), Param("omega", 2.0, low=0.0), Param("zeta", 0.05))
     derived = (Port("stiffness"), Port("damping"))
 

@@ -77,16 +77,11 @@ class Body:
     def operation(self, kind: str, dear: bool = True) -> str:
         """A random operation that gives a scalar of `kind`."""
         r, p = self.rng, self.pick
-        choices: list[Callable[[], str]] = [
-            lambda: f"where({p('bool')}, {p(kind)}, {p(kind)})",
-        ]
+        choices: list[Callable[[], str]] = [lambda: f"where({p('bool')}, {p(kind)}, {p(kind)})"]
         arrays = [a for a in self.pool.arrays if a[1] == kind]
         if arrays:
             name, _, width = r.choice(arrays)
-            choices += [
-                lambda: f"{name}[{r.randrange(width)}]",
-                lambda: f"{name}[{p(r.choice(('int32', 'uint32')))}]",
-            ]
+            choices += [lambda: f"{name}[{r.randrange(width)}]", lambda: f"{name}[{p(r.choice(('int32', 'uint32')))}]"]
         if kind == "bool":
             of = r.choice(self.kinds[2:])
             order = r.choice(("==", "!=")) if of == "bool" else r.choice(("<", "<=", ">", ">=", "==", "!="))

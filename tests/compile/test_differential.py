@@ -12,17 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.compile.differential import (
-    KINDS,
-    M7,
-    Case,
-    Judgement,
-    changed,
-    differences,
-    emitted,
-    reference_run,
-    same,
-)
+from tests.compile.differential import KINDS, M7, Case, Judgement, changed, differences, emitted, reference_run, same
 from tests.compile.whole_library import SPECIAL, WORDS
 from tests.toolchains import need
 from twodof.blocks import Diagram
@@ -208,10 +198,7 @@ def _flushing_on_arm(source: str) -> str:
     return re.sub(r"(void decay_advance\([^;{]*\n\{\n)", lambda head: f"{head[1]}    {flush}\n", source)
 
 
-FLUSH = {
-    "native": (Native("gcc", "-O2", cpu=False), _flushing_here),
-    "m7": (ON_M7, _flushing_on_arm),
-}
+FLUSH = {"native": (Native("gcc", "-O2", cpu=False), _flushing_here), "m7": (ON_M7, _flushing_on_arm)}
 
 
 @pytest.mark.parametrize("where", FLUSH)

@@ -11,20 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from twodof.blocks import (
-    Block,
-    Diagram,
-    Param,
-    Port,
-    State,
-    concatenate,
-    cross,
-    eye,
-    matrix,
-    norm,
-    sum,
-    vector,
-)
+from twodof.blocks import Block, Diagram, Param, Port, State, concatenate, cross, eye, matrix, norm, sum, vector
 from twodof.blocks.reference import Reference
 from twodof.compile import build
 from twodof.compile.linear.linearize import linearize

@@ -110,10 +110,7 @@ def test_unknown_paths_are_answered_with_the_same_words_everywhere(make: Any) ->
     ("call", "text"),
     [
         (wired("ctl.M", "memory.v"), "loop: 'memory' has no input 'v' (inputs: u)"),
-        (
-            wired("ctl.M", "memori.u"),
-            "loop: no output or part named 'memori' (there are: memory, five, low, ctl, y)",
-        ),
+        (wired("ctl.M", "memori.u"), "loop: no output or part named 'memori' (there are: memory, five, low, ctl, y)"),
         (wired("ctl.M", "ctl.thata"), "loop: 'ctl' has no input 'thata' (inputs: theta, r)"),
         (
             lambda: diagram().add("g", Gain(), params={"K": "k"}),

@@ -55,11 +55,7 @@ def test_anti_windup_flies() -> None:
     # without tracking the integral winds up as ever
     for tuning in ({}, {"attitude_control.tracking": 0.0}):
         lab = Laboratory(
-            "paper",
-            noise=0.0,
-            conditions=LIGHT,
-            controllers=[pid_attitude(quick, "back-calculation")],
-            tuning=tuning,
+            "paper", noise=0.0, conditions=LIGHT, controllers=[pid_attitude(quick, "back-calculation")], tuning=tuning
         )
         highest.append(float(lab.fly(experiment("attitude-steps", excitation=steps)).log["theta_true"].value.max()))
     assert highest[0] < 1.005 * level

@@ -158,7 +158,7 @@ def test_family_of_several_flights_has_their_spread() -> None:
             "disturbance": {
                 "gusts": {
                     "q": {"std": 0.006, "correlation_time": 0.15, "white": 0.003, "narrow": 0.004, "frequency": 38.0}
-                },
+                }
             },
         }
         for k, row in enumerate(rows.tolist())

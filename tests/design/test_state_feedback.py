@@ -58,13 +58,7 @@ def test_lqg_keeps_its_family_stable_and_follows() -> None:
     assert abs(made.figures["settled_error"][1]) < 0.03
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda: lqi(FAMILY, largest_q=0.0),
-        lambda: lqi(FAMILY, largest_moment=math.nan),
-    ],
-)
+@pytest.mark.parametrize("call", [lambda: lqi(FAMILY, largest_q=0.0), lambda: lqi(FAMILY, largest_moment=math.nan)])
 def test_refuses_with_a_remedy(call: object) -> None:
     with pytest.raises(ParameterError) as caught:
         call()  # type: ignore[operator]

@@ -113,8 +113,7 @@ def test_an_excitation_is_added_to_the_trim() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("position_filter", "precision"),
-    [("joint", "float64"), *((name, "float32") for name in POSITION_FILTERS)],
+    ("position_filter", "precision"), [("joint", "float64"), *((name, "float32") for name in POSITION_FILTERS)]
 )
 def test_compiled_and_interpreted_give_the_same_bits(position_filter: str, precision: str) -> None:
     rng = np.random.default_rng(5)

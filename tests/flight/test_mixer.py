@@ -39,8 +39,7 @@ def test_no_command_leaves_its_range(thrust: float, moment: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("thrust", "moment", "fore", "aft"),
-    [(0.0, 0.1, 0.1, 0.0), (0.4, 0.5, 0.9, 0.0), (0.9, -0.3, 0.6, 1.0)],
+    ("thrust", "moment", "fore", "aft"), [(0.0, 0.1, 0.1, 0.0), (0.4, 0.5, 0.9, 0.0), (0.9, -0.3, 0.6, 1.0)]
 )
 def test_a_clipped_pair_is_said_and_the_other_keeps_its_command(
     thrust: float, moment: float, fore: float, aft: float

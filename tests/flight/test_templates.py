@@ -91,10 +91,7 @@ def output_of(item: object, **inputs: str) -> Diagram:
         (without(controller(), "q"), ["the input q is missing: add real in rad/s, estimated pitch rate"]),
         (extra_input(controller()), ["the input wind is not of the template: remove it"]),
         (extra_output(controller()), ["the output spare is not of the template: remove it"]),
-        (
-            retyped(controller(), "int32", None, "rad/s"),
-            ["the input q_0 is int32 in rad/s: make it real in rad/s"],
-        ),
+        (retyped(controller(), "int32", None, "rad/s"), ["the input q_0 is int32 in rad/s: make it real in rad/s"]),
         (retyped(controller(), "real", 2, "rad/s"), ["the input q_0 is real[2] in rad/s: make it real in rad/s"]),
         (retyped(controller(), "real", None, "m"), ["the input q_0 is real in m: make it real in rad/s"]),
         (output_of(Mux(2), a="q", b="q_0"), ["the output M is real[2]: make it real"]),

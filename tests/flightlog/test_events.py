@@ -189,10 +189,7 @@ def test_an_excitation_is_found_by_name_or_by_shape(flight_data: Path) -> None:
             "velocity-doublets-0.25",
             [("off", 118.32), ("position", 125.65), ("velocity", 151.12), ("position", 161.53), ("off", 165.55)],
         ),
-        (
-            "position-sweep-default",
-            [("off", 93.63), ("position", 107.67), ("off", 127.68), ("position", 131.98)],
-        ),
+        ("position-sweep-default", [("off", 93.63), ("position", 107.67), ("off", 127.68), ("position", 131.98)]),
     ],
 )
 def test_the_modes_of_the_real_flights(flight_data: Path, name: str, expected: list[tuple[str, float]]) -> None:

@@ -201,11 +201,7 @@ WRONG: list[tuple[str, bytes | str, str]] = [
     (".ulg", px4_log(0), "no topic in it becomes a channel; topics: battery_status"),
     (".ulg", px4_log(1) + message("D", b"\x55\x55" + bytes(8)), "a message is not described"),
     (".ulg", px4_log(1) + message("D", b"\0\0" + bytes(8)), "is not as long as its description"),
-    (
-        ".ulg",
-        px4_log(0)[:59] + message("F", b"a:a x;") + message("A", b"\0\x77\0a"),
-        "is nested too deep",
-    ),
+    (".ulg", px4_log(0)[:59] + message("F", b"a:a x;") + message("A", b"\0\x77\0a"), "is nested too deep"),
     (".xlsx", b"x", r"no log format has the suffix '.xlsx' .use .mat, .mcap, .parquet, .csv"),
 ]
 

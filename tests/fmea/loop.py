@@ -258,9 +258,7 @@ def settled() -> dict[str, Any]:
 
 
 def fly(
-    lanes: Sequence[Mapping[str, Any]],
-    changes: Sequence[Mapping[str, Any]],
-    start: Mapping[str, Any],
+    lanes: Sequence[Mapping[str, Any]], changes: Sequence[Mapping[str, Any]], start: Mapping[str, Any]
 ) -> dict[str, NDArray[Any]]:
     """Fly a set of parameters in each instance; `changes` come at ONSET, `start` are states.
 

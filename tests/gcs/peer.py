@@ -187,11 +187,7 @@ class Peer:
         system, component = self.holder
         withheld = self.tuning_withheld
         self.send(
-            "TWODOF_LEASE",
-            holder_system=system,
-            holder_component=component,
-            duration_ms=3000,
-            tuning_withheld=withheld,
+            "TWODOF_LEASE", holder_system=system, holder_component=component, duration_ms=3000, tuning_withheld=withheld
         )
 
     def _twodof_grant(self, got: Any, _: Any) -> None:

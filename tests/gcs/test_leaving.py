@@ -205,10 +205,7 @@ def test_a_kill_of_a_disarmed_drone_is_seen(lockstep: bool) -> None:
         return [sent]
 
     async def work() -> None:
-        async with (
-            peer,
-            await AsyncDrone.connect(peer.url, take_lease=not lockstep) as drone,
-        ):
+        async with peer, await AsyncDrone.connect(peer.url, take_lease=not lockstep) as drone:
             await drone.kill()
             assert peer.killed
             assert drone.state.killed

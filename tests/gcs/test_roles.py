@@ -48,9 +48,7 @@ def through_the_companion(index: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("served", [directly, through_the_companion])
-def test_the_commander_may_withhold_tuning(
-    served: Callable[[int], AbstractContextManager[None]],
-) -> None:
+def test_the_commander_may_withhold_tuning(served: Callable[[int], AbstractContextManager[None]]) -> None:
     with free_numbers(1) as index, served(index):
         url = f"udpin://127.0.0.1:{Ports.ONBOARD + index}"
         with Drone.connect(url, take_lease=False) as tuner:

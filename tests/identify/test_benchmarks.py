@@ -14,11 +14,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
     ("example", "file", "most"),
     [
         # [mV]; the noise of the measurement is some .2. A held input instead of a band-limited one gives 13.
-        (
-            "silverbox",
-            "SNLS80mV.csv",
-            {"test": 0.25, "arrow": 0.30, "arrow, no extrapolation": 0.24},
-        ),
+        ("silverbox", "SNLS80mV.csv", {"test": 0.25, "arrow": 0.30, "arrow, no extrapolation": 0.24}),
         # [V]; the physical models that have been published have .2 to .4.
         ("cascaded_tanks", "dataBenchmark.csv", {"test": 0.24}),
     ],

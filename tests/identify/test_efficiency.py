@@ -65,8 +65,7 @@ CASES: dict[str, tuple[Structure, Array, Mapping[str, float], Mapping[str, float
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("case", "repetitions"),
-    [*EACH_DAY.items(), *(pytest.param(case, LONG, marks=pytest.mark.soak) for case in CASES)],
+    ("case", "repetitions"), [*EACH_DAY.items(), *(pytest.param(case, LONG, marks=pytest.mark.soak) for case in CASES)]
 )
 def test_the_bound_is_attained_and_the_intervals_cover(case: str, repetitions: int) -> None:
     structure, u, truth, noise = CASES[case]

@@ -14,14 +14,7 @@ from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.identify.identified_flight import IdentifiedFlight, identify_flight
-from twodof.identify.ready_made import (
-    FlownMachine,
-    experiment_in,
-    machine_of,
-    structure_for,
-    sufficiency,
-    true_values,
-)
+from twodof.identify.ready_made import FlownMachine, experiment_in, machine_of, structure_for, sufficiency, true_values
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import model_parameters
 

@@ -80,12 +80,7 @@ def test_select_finds_the_unknowns_that_matter() -> None:
     rng = np.random.default_rng(3)
     data = pitch_record(MODEL, APPLIED, 0.06, rng, trim=0.004)
     ranking, fits = select(
-        pitch_rate(),
-        data,
-        ["mu", "tau"],
-        ["M_trim", "q_bias"],
-        values={"w_n": 3.437, "xi": 0.3},
-        criterion="bic",
+        pitch_rate(), data, ["mu", "tau"], ["M_trim", "q_bias"], values={"w_n": 3.437, "xi": 0.3}, criterion="bic"
     )
     assert ranking.best == "+ M_trim"
     assert fits[ranking.best]["M_trim"] == pytest.approx(0.004, abs=5e-4)

@@ -12,13 +12,7 @@ from twodof.flightlog.files import read_log
 from twodof.identify.experiments import cut
 from twodof.identify.simple_pitch import identify_pitch, read_doublet, read_free_response
 from twodof.identify.simple_velocity import identify_velocity
-from twodof.models.plant import (
-    PAPER_PITCH_RATE,
-    PAPER_VELOCITY_GREYBOX,
-    PAPER_VELOCITY_SIMPLE,
-    PitchRate,
-    Velocity,
-)
+from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PAPER_VELOCITY_SIMPLE, PitchRate, Velocity
 
 pytestmark = pytest.mark.slow
 

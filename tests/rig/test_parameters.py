@@ -9,17 +9,7 @@ import pytest
 
 from twodof.errors import ParameterError
 from twodof.parameters import ParameterSet
-from twodof.rig.parameters import (
-    CALIBRATED,
-    CONDITIONS,
-    LAB_FILE,
-    TABLE,
-    lab,
-    load_rig,
-    origins,
-    paper,
-    save_rig,
-)
+from twodof.rig.parameters import CALIBRATED, CONDITIONS, LAB_FILE, TABLE, lab, load_rig, origins, paper, save_rig
 from twodof.rig.rig import rig, rig_params
 from twodof.signals import Q_AGE
 

@@ -53,11 +53,8 @@ def action_group(
     first = next(iter(parts))
     for action, item in parts.items():
         if list(item.outputs) != list(parts[first].outputs):
-            raise DiagramError(
-                f"{action} has the outputs {listed(item.outputs)}, and {first} {listed(parts[first].outputs)}",
-                name,
-                "give all actions the same outputs",
-            )
+            what = f"{action} has the outputs {listed(item.outputs)}, and {first} {listed(parts[first].outputs)}"
+            raise DiagramError(what, name, "give all actions the same outputs")
         for port in item.inputs.values():
             _input(d, port)
         inputs = {port.name: port.name for port in grouped(item.inputs.values())}

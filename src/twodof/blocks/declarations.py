@@ -400,11 +400,8 @@ def narrowed(outer: Param, at: str, inner: Param, path: str) -> Param:
     low, high = max(outer.low, inner.low), min(outer.high, inner.high)
     for value in np.ravel(np.asarray(outer.value)):
         if outer.kind != "bool" and not low <= value <= high:
-            raise DiagramError(
-                f"it is bound to {outer.name!r}, whose default {value} is outside [{low}, {high}]",
-                path,
-                "change the default, or the bounds of one of them",
-            )
+            what = f"it is bound to {outer.name!r}, whose default {value} is outside [{low}, {high}]"
+            raise DiagramError(what, path, "change the default, or the bounds of one of them")
     return replace(outer, low=low, high=high)
 
 

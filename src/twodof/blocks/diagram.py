@@ -186,11 +186,8 @@ class Diagram:
             check_lists(item, path)
         for argument, value in (("rate", rate), ("params", params), ("initial", initial), ("position", position)):
             if isinstance(value, str):
-                raise DiagramError(
-                    f"{argument}={shown(value)} is not a {argument}",
-                    path,
-                    _as_input(item, argument, value) or "see Diagram.add",
-                )
+                what = f"{argument}={shown(value)} is not a {argument}"
+                raise DiagramError(what, path, _as_input(item, argument, value) or "see Diagram.add")
         held = _of_outputs(item, initial or {}, path, "start")
         if isinstance(disabled, Mapping):
             disabled = _of_outputs(item, disabled, path, "reset")
@@ -322,9 +319,7 @@ class Diagram:
         taken = taken or any(path in self.inputs for path in above)
         if taken or name in self.parts or name in self.inputs or name in self.params:
             raise DiagramError(
-                f"the name {name!r} is used twice",
-                self.name,
-                "give each part, input and parameter another name",
+                f"the name {name!r} is used twice", self.name, "give each part, input and parameter another name"
             )
 
 
@@ -411,11 +406,8 @@ def _check_conditions(part: Part, path: str, by_keyword: bool) -> None:
         if isinstance(part.item, Block):
             raise DiagramError(f"a block cannot be {_PAST[argument]}", path, as_input or "put it into a sub-diagram")
         if by_keyword and argument in part.item.inputs:
-            raise DiagramError(
-                f"{argument}= is both an input of the sub-diagram and what makes it {_PAST[argument]}",
-                path,
-                f"{as_input}; with inputs={{...}}, {argument}= means the condition",
-            )
+            what = f"{argument}= is both an input of the sub-diagram and what makes it {_PAST[argument]}"
+            raise DiagramError(what, path, f"{as_input}; with inputs={{...}}, {argument}= means the condition")
     for argument, choices in _CHOICES.items():
         choice = getattr(part, argument)
         if argument == "disabled" and isinstance(choice, dict):

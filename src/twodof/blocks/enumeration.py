@@ -203,10 +203,8 @@ def comparing(leaves: Mapping[tuple[str, str], Enumeration | None]) -> AbstractC
         if op in _COMPARISONS:
             one, other = (_of(value, leaves) for value in (a, b))
             if one is not None and other is not None and one != other:
-                raise fault(
-                    f"a {one.name} is compared with a {other.name}",
-                    f"compare it with a member of {one.name}: {', '.join(one.members):.400}; or with a number",
-                )
+                remedy = f"compare it with a member of {one.name}: {', '.join(one.members):.400}; or with a number"
+                raise fault(f"a {one.name} is compared with a {other.name}", remedy)
         return a, b
 
     return during(OPERANDS, check) if any(leaves.values()) else nullcontext()

@@ -365,11 +365,9 @@ def _check_members(declared: Sequence[Any], given: Mapping[str, Expr], leaves: E
     """Raise DiagramError if a value for a declared enumeration may be none of its members."""
     for d in declared:
         if d.enum is not None and d.name in given and not stays_within(d.enum, given[d.name], leaves):
-            raise DiagramError(
-                f"{d.name!r} is a {d.enum.name}, and is given an int32 that may be none of its members",
-                "",
-                f"give {d.enum.name}.{next(iter(d.enum.members))}, ..., or to_enumeration({d.enum.name}, value)",
-            )
+            what = f"{d.name!r} is a {d.enum.name}, and is given an int32 that may be none of its members"
+            remedy = f"give {d.enum.name}.{next(iter(d.enum.members))}, ..., or to_enumeration({d.enum.name}, value)"
+            raise DiagramError(what, "", remedy)
 
 
 def by_path(result: Any, names: Sequence[str]) -> Any:
@@ -398,11 +396,8 @@ def _fit(value: Any, declared: Any) -> Expr:
         value = matrix(value)
     if declared.shape != (value.shape if isinstance(value, Matrix) else None):
         found = f"an array of {shape_text(shape_of(value))}" if shape_of(value) else _described(value)
-        raise DiagramError(
-            f"{declared.name!r} is given {found}, and is a {shape(declared)}",
-            "",
-            "give it that shape, or declare the name with the other one",
-        )
+        what = f"{declared.name!r} is given {found}, and is a {shape(declared)}"
+        raise DiagramError(what, "", "give it that shape, or declare the name with the other one")
     value = flat_of(value)
     if declared.width is not None and isinstance(value, (list, tuple, Vector)):
         value = vector([v if isinstance(v, Expr) else as_expr(v, declared.kind) for v in value])
@@ -414,9 +409,6 @@ def _fit(value: Any, declared: Any) -> Expr:
     if (fitted.kind, fitted.width) != (declared.kind, declared.width):
         rule = ', overflow="saturate") or "wrap"' if declared.kind in STORED else ")"
         how = "convert it" if fitted.kind == declared.kind else f"convert it by name, to_{declared.kind}(x{rule}"
-        raise DiagramError(
-            f"{declared.name!r} is given a {shape(fitted)}, and is a {shape(declared)}",
-            "",
-            f"{how}, or declare the name with that type",
-        )
+        what = f"{declared.name!r} is given a {shape(fitted)}, and is a {shape(declared)}"
+        raise DiagramError(what, "", f"{how}, or declare the name with that type")
     return fitted

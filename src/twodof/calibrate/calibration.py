@@ -290,10 +290,7 @@ def _whole(rig: dict[str, float]) -> dict[str, float]:
 
 
 def _solve(
-    loop: ClosedLoop,
-    logged: Mapping[str, LoggedFlight],
-    start: Array,
-    tell: Callable[[float], None],
+    loop: ClosedLoop, logged: Mapping[str, LoggedFlight], start: Array, tell: Callable[[float], None]
 ) -> tuple[Array, Array, LeastSquaresMinimum]:
     """Return estimate, deviation and search by least squares; `tell` is given the share that is done.
 

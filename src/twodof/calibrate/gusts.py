@@ -116,11 +116,8 @@ def _disturbance(log: FlightLog, t0: float, t1: float, rig: Mapping[str, float],
     q, theta = log["q"], log["theta"]
     stamps = q.slice(t0, t1).time
     if not (t1 - t0 >= SHORTEST and len(stamps) >= 0.5 * SHORTEST / PERIOD):
-        raise IdentificationError(
-            f"only {len(stamps)} samples of q from {t0:g} to {t1:g} s",
-            log.source,
-            f"give stretches of {SHORTEST:g} s or more",
-        )
+        what = f"only {len(stamps)} samples of q from {t0:g} to {t1:g} s"
+        raise IdentificationError(what, log.source, f"give stretches of {SHORTEST:g} s or more")
     period, origin, last = step_clock(stamps)
     time = origin + period * np.arange(last + 1)
     rate, angle = np.interp(time, q.time, q.value), np.interp(time, theta.time, theta.value)

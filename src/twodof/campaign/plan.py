@@ -36,9 +36,7 @@ class Run:
 
 
 def plan(
-    seeds: Iterable[int],
-    members: Sequence[Mapping[str, float]] = ({},),
-    cases: Sequence[str] = ("",),
+    seeds: Iterable[int], members: Sequence[Mapping[str, float]] = ({},), cases: Sequence[str] = ("",)
 ) -> tuple[Run, ...]:
     """Return the runs of each of the `cases`, one after the other, with the `seeds` and `members`.
 

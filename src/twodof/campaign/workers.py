@@ -160,11 +160,8 @@ class _Crew:
                 worker.process.kill()
             reason = worker.answer(START_S)
             if isinstance(reason, str):
-                raise ExperimentError(
-                    f"a process of the campaign does not start: {reason}",
-                    "campaign",
-                    "read what it printed; `measure` must be a function or class of a module",
-                )
+                remedy = "read what it printed; `measure` must be a function or class of a module"
+                raise ExperimentError(f"a process of the campaign does not start: {reason}", "campaign", remedy)
         return worker
 
 

@@ -76,10 +76,7 @@ def route(
             f"drones 0 to {MOST_DRONES - 1} have ports of their own: say where this one serves, --onboard or --ground",
             param_hint="--index",
         )
-    chosen = [
-        *(Serve(url, "onboard") for url in onboard or ()),
-        *(Serve(url, "ground") for url in ground or ()),
-    ]
+    chosen = [*(Serve(url, "onboard") for url in onboard or ()), *(Serve(url, "ground") for url in ground or ())]
     serve = tuple(chosen) or px4_links(index, open_)
     options = _Options(
         fcu or f"tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json

@@ -126,10 +126,7 @@ def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
     print_result(json, {"url": url, "was_held": before.killed, "held": there.state.killed}, [said])
 
 
-def key(
-    file: Annotated[Path, argument("File to write; it must not exist.", "FILE")],
-    json: Json = False,
-) -> None:
+def key(file: Annotated[Path, argument("File to write; it must not exist.", "FILE")], json: Json = False) -> None:
     """Write a random key to a new file that only you can read.
 
     Copy the file over a safe channel to every program that takes part, and pass it with --key. The printed fingerprint

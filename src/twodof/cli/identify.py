@@ -66,7 +66,7 @@ def identify(
         option(
             f"Structure: {', '.join((AUTO, *STRUCTURES))} (auto: the paper's, for an impulse with friction if the rig "
             f"has it); or one of the columns in --input and --output: {', '.join(FORMS)} (numbers of several inputs: "
-            "2/1).",
+            "2/1)."
         ),
     ] = AUTO,
     window: Annotated[
@@ -114,8 +114,7 @@ def identify(
     ] = None,
     merge: Annotated[bool, flag("With several logs: fit one model to all, not one to each.", "--merge")] = False,
     compare: Annotated[
-        list[str] | None,
-        option("Another model of the columns, to compare on --validate or else on LOG.", "MODEL"),
+        list[str] | None, option("Another model of the columns, to compare on --validate or else on LOG.", "MODEL")
     ] = None,
     plot: Annotated[
         Path | None, option(f"Draw data, model, residuals, Bode and uncertainty ({', '.join(SUFFIXES)}).", "FILE")
@@ -261,7 +260,7 @@ def identify(
                 f"this model is driven by {', '.join(shape.inputs)}, the experiment by {', '.join(kind.inputs)}",
                 f"--model {model} --experiment {asked}",
                 "leave --model out",
-            ),
+            )
         )
         _check_unknowns(shape, estimate or (), numbers, before)
         flown = zip([*logs, *checks], [*records, *others], strict=True)
@@ -355,11 +354,9 @@ def _experiment(name: str | None, log: FlightLog) -> str:
     if not isinstance(said, str):
         said = kind_of(log).name
     if said not in _KNOWN:
-        raise ParameterError(
-            f"nothing is identified from {said!r:.80}",
-            log.source if name is None else "--experiment",
-            f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}",
-        )
+        what = f"nothing is identified from {said!r:.80}"
+        remedy = f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}"
+        raise ParameterError(what, log.source if name is None else "--experiment", remedy)
     return FLOWN_AS.get(said, said)
 
 

@@ -29,10 +29,7 @@ _ROWS = 20
 
 
 @log.command()
-def info(
-    file: Annotated[Path, argument("A .mat, .mcap, .parquet, .csv or .ulg log.")],
-    json: Json = False,
-) -> None:
+def info(file: Annotated[Path, argument("A .mat, .mcap, .parquet, .csv or .ulg log.")], json: Json = False) -> None:
     """List a log's channels and rates, gaps, events, likely experiment, failsafe actions and the drone's messages."""
     log = read_log(file)
     found = describe(log)

@@ -73,11 +73,9 @@ def own_record(
     log = read_columns(path, **clock) if clock else read_log(path)
     outs = outs or {name: name for name in structure.outputs if name in log}
     if not outs:
-        raise LogError(
-            f"has no column named as an output of the structure ({', '.join(structure.outputs)})",
-            log.source,
-            f"say which one it is: --output {structure.outputs[0]}=COLUMN; there are: {listed(log.channels)}",
-        )
+        what = f"has no column named as an output of the structure ({', '.join(structure.outputs)})"
+        remedy = f"say which one it is: --output {structure.outputs[0]}=COLUMN; there are: {listed(log.channels)}"
+        raise LogError(what, log.source, remedy)
     for name, column in (*ins.items(), *outs.items()):
         _check_column(log, column, f"name it: {'--input' if name in ins else '--output'} {name}=COLUMN")
     start, stop = window or _span(log, [*ins.values(), *outs.values()])
@@ -129,11 +127,8 @@ def _pairs(
         column = column if sign else name
         if name not in known:
             noun = "output" if option == "--output" else "input"
-            raise ParameterError(
-                f"the structure '{structure.name}' has no {noun} {shown(name)}",
-                option,
-                f"write NAME={'linear' if option == '--hold' else 'COLUMN'}; the structure has: {', '.join(known)}",
-            )
+            remedy = f"write NAME={'linear' if option == '--hold' else 'COLUMN'}; the structure has: {', '.join(known)}"
+            raise ParameterError(f"the structure '{structure.name}' has no {noun} {shown(name)}", option, remedy)
         if name in found:
             raise ParameterError(f"{name!r:.80} is named twice", option, "name each once")
         found[name] = column
@@ -149,18 +144,12 @@ def _of(thing: object, source: str, estimate: Sequence[str]) -> Structure:
     if isinstance(thing, Structure):
         return thing
     if not isinstance(thing, Diagram):
-        raise ParameterError(
-            f"a {type(thing).__name__} is not a structure",
-            f"--structure {source}",
-            "name a twodof.models.Structure, a Diagram, or a function that gives one",
-        )
+        remedy = "name a twodof.models.Structure, a Diagram, or a function that gives one"
+        raise ParameterError(f"a {type(thing).__name__} is not a structure", f"--structure {source}", remedy)
     real = tuple(name for name, param in thing.params.items() if param.kind == "real" and param.width is None)
     if not real:
-        raise ParameterError(
-            f"the diagram '{thing.name}' has no real parameter",
-            f"--structure {source}",
-            "give it parameters with `Diagram.param`: they are what is estimated",
-        )
+        remedy = "give it parameters with `Diagram.param`: they are what is estimated"
+        raise ParameterError(f"the diagram '{thing.name}' has no real parameter", f"--structure {source}", remedy)
     wanted = tuple(name for name in estimate if name in real) or real
     return Structure(thing, wanted, local=tuple(name for name in real if name.endswith(_LOCAL)))
 

@@ -156,11 +156,8 @@ def _controllers(named: list[str]) -> list[Diagram]:
         slot = simulator_controllers()
         flashed = slot.flashed()
         if not flashed:
-            raise ParameterError(
-                "nothing was flashed to the simulator",
-                str(slot.folder),
-                "flash a controller: twodof flash FILE --to sim",
-            )
+            what = "nothing was flashed to the simulator"
+            raise ParameterError(what, str(slot.folder), "flash a controller: twodof flash FILE --to sim")
         found += flashed.values()
     return found
 

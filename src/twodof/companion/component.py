@@ -36,9 +36,7 @@ class ComputerStatus:
     """State of this computer, read from /proc; rates are those since the last call. `clock` gives seconds."""
 
     def __init__(
-        self,
-        links: Callable[[], Sequence[Traffic]] = tuple,
-        clock: Callable[[], float] = time.monotonic,
+        self, links: Callable[[], Sequence[Traffic]] = tuple, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._links = links
         self._clock = clock

@@ -69,11 +69,7 @@ def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: b
 
 
 def emit_program(
-    diagram: Diagram,
-    dt: float,
-    precision: str = "float64",
-    log: Iterable[str] = (),
-    integrator: str = "rk4",
+    diagram: Diagram, dt: float, precision: str = "float64", log: Iterable[str] = (), integrator: str = "rk4"
 ) -> EmittedProgram:
     """Emit the C of `diagram`; arguments and errors as those of `build`."""
     with numbers.precision(precision):  # refuses an unknown one

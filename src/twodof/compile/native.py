@@ -38,21 +38,15 @@ def load(
         # A library stays mapped when its file goes.
         return compilers.compiled(source, compiler, options, ".so", lambda file: ctypes.CDLL(str(file)), cpu)
     except OSError as error:
-        raise CompileError(
-            f"the compiled library does not load: {error}",
-            compiler.name,
-            "set TWODOF_CACHE to a folder whose files may be executed",
-        ) from error
+        what = f"the compiled library does not load: {error}"
+        raise CompileError(what, compiler.name, "set TWODOF_CACHE to a folder whose files may be executed") from error
 
 
 def _check_subnormals() -> None:
     """Raise CompileError if this process flushes subnormals to zero, as a library built with -ffast-math makes it."""
     if np.float64(2.0**-1074) * np.float64(1.0) == 0.0:
-        raise CompileError(
-            "this process rounds subnormal numbers to zero",
-            "",
-            "find the imported library that was built with -ffast-math, and import it after twodof or not at all",
-        )
+        remedy = "find the imported library that was built with -ffast-math, and import it after twodof or not at all"
+        raise CompileError("this process rounds subnormal numbers to zero", "", remedy)
 
 
 @dataclass(frozen=True)

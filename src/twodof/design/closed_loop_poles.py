@@ -284,11 +284,8 @@ def frequency_grid(loop: LoopTransfer, closed: Complex, further: Array, below: f
     if loop.delay:
         turns = high * loop.delay / (2.0 * np.pi)
         if turns * _PER_TURN > _MOST:
-            raise ParameterError(
-                f"the delay of {loop.delay:g} s turns the loop {turns:.3g} times before its gain has fallen",
-                "margins",
-                "give the loop a lag at a lower frequency, or a shorter delay",
-            )
+            what = f"the delay of {loop.delay:g} s turns the loop {turns:.3g} times before its gain has fallen"
+            raise ParameterError(what, "margins", "give the loop a lag at a lower frequency, or a shorter delay")
         parts.append(np.linspace(low, high, int(turns * _PER_TURN) + 2))
     grid = np.unique(np.concatenate(parts))
     return np.asarray(grid[(grid >= min(low, float(known.min()))) & (grid <= high)])

@@ -62,11 +62,7 @@ def shaped_pid(mu: float, crossover: float, n: float = 100.0) -> PidGains:
 
 
 def pid_at(
-    response: complex,
-    crossover: float,
-    phase_margin: float = math.radians(60.0),
-    form: str = "PID",
-    n: float = 100.0,
+    response: complex, crossover: float, phase_margin: float = math.radians(60.0), form: str = "PID", n: float = 100.0
 ) -> PidGains:
     """Return the gains of the `form` P, PI, PD or PID for a plant whose response at `crossover` is `response`.
 

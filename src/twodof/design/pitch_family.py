@@ -214,11 +214,8 @@ class PitchFamily:
                 return cls.of({k: float(v) for k, v in document["model"].items()})
             return cls._of_one(document, where, noise)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as reason:
-            raise _error(
-                f"this is not an identified model ({type(reason).__name__}: {reason!s:.80})",
-                "give the output of `twodof identify --json`",
-                where,
-            ) from reason
+            what = f"this is not an identified model ({type(reason).__name__}: {reason!s:.80})"
+            raise _error(what, "give the output of `twodof identify --json`", where) from reason
 
     @classmethod
     def _of_one(cls, document: Mapping[str, Any], where: str, noise: bool) -> Self:
@@ -388,10 +385,8 @@ def draw_within(centre: Array, root: Array, bounds: Array, count: int, rng: np.r
         kept = np.concatenate([kept, rows[((rows >= bounds[:, 0]) & (rows <= bounds[:, 1])).all(axis=1)]])
         tried += len(rows)
         if tried > _TRIED and len(kept) < (1.0 - _REFUSED) * tried:
-            raise _error(
-                "95 % of the drawn members are not physical: the data contradict the bounds of the parameters",
-                "identify again, with more excitation or with w_n and xi held",
-            )
+            what = "95 % of the drawn members are not physical: the data contradict the bounds of the parameters"
+            raise _error(what, "identify again, with more excitation or with w_n and xi held")
     return kept[:count]
 
 

@@ -364,11 +364,8 @@ class Promise:
             found.append((grid, flown))
         if not found:
             size = f"{step.factor * self.goal:g} {step.unit}"
-            raise ParameterError(
-                f"the log has no step of {step.setpoint} by {size} that lasts {end:.2f} s",
-                log.source,
-                f"fly one in {self.loop} mode, or promise the step that was flown",
-            )
+            what = f"the log has no step of {step.setpoint} by {size} that lasts {end:.2f} s"
+            raise ParameterError(what, log.source, f"fly one in {self.loop} mode, or promise the step that was flown")
         return found
 
     def _measured(self, flown: Mapping[str, Array]) -> Measured:

@@ -195,10 +195,7 @@ class Requirement:
 
 
 def check(
-    specification: Specification,
-    controller: SampledController,
-    family: PitchFamily,
-    promised: Promise | None = None,
+    specification: Specification, controller: SampledController, family: PitchFamily, promised: Promise | None = None
 ) -> tuple[Requirement, ...]:
     """Compare `controller` with each requirement of `specification` on the pitch, in its order.
 

@@ -62,11 +62,8 @@ class Experiment:
         if self.thrust == 0.0 and self.mode != "open-loop":
             raise ExperimentError("a closed loop needs thrust", self.name, "give thrust, or fly it in open loop")
         if self.rings and self.mode in ("velocity", "position"):
-            raise ExperimentError(
-                f"the {self.mode} loop moves the cart, and the rings lock it",
-                self.name,
-                "free the cart (rings=False, or Reset)",
-            )
+            remedy = "free the cart (rings=False, or Reset)"
+            raise ExperimentError(f"the {self.mode} loop moves the cart, and the rings lock it", self.name, remedy)
         for what in ("still", "hold", "rest"):
             if not 0.0 <= getattr(self, what) <= 600.0:
                 raise ExperimentError(

@@ -314,11 +314,8 @@ class Laboratory:
         low, high = float(out["true_x"][flown].min()), float(out["true_x"][flown].max())
         room = 2.0 * (self.parameters["rail_stop"] - MARGIN)
         if high - low > room:
-            raise ExperimentError(
-                f"the cart would travel {high - low:.2f} m, and the rail leaves {room:.2f} m",
-                experiment.name,
-                "use a smaller or shorter excitation",
-            )
+            what = f"the cart would travel {high - low:.2f} m, and the rail leaves {room:.2f} m"
+            raise ExperimentError(what, experiment.name, "use a smaller or shorter excitation")
         return -0.5 * (low + high)
 
     def described_controllers(self) -> dict[str, dict[str, Any]]:

@@ -92,28 +92,20 @@ def fly(
     experiment = ready(experiment)
     rig = drone.state.rig
     if experiment.still < LEAST_STILL:
-        raise ExperimentError(
-            f"the motors are off for {experiment.still:g} s only",
-            f"{experiment.name}.still",
-            f"give {LEAST_STILL:g} s or more: the drone receives its sensors and arms in this time",
-        )
+        remedy = f"give {LEAST_STILL:g} s or more: the drone receives its sensors and arms in this time"
+        raise ExperimentError(f"the motors are off for {experiment.still:g} s only", f"{experiment.name}.still", remedy)
     if not rig.virtual and rig.rings_locked != experiment.rings:
         asked, found = ("locked", "free") if experiment.rings else ("free", "locked")
         raise ExperimentError(
-            f"the experiment needs the cart {asked}, and it is {found}",
-            experiment.name,
-            "set the rings, then fly",
+            f"the experiment needs the cart {asked}, and it is {found}", experiment.name, "set the rings, then fly"
         )
     model = laboratory if laboratory is not None else Laboratory(rig.name if rig.name in NAMES else "lab")
     if x_start is None:
         x_start = 0.0 if experiment.rings else model.start(experiment)
     room = model.parameters["rail_stop"] - MARGIN
     if not abs(x_start) <= room:
-        raise ExperimentError(
-            f"x = {x_start:g} m is not a valid start",
-            experiment.name,
-            f"start within {room:.2f} m of the rail's middle",
-        )
+        remedy = f"start within {room:.2f} m of the rail's middle"
+        raise ExperimentError(f"x = {x_start:g} m is not a valid start", experiment.name, remedy)
     plan = script(experiment, x_start)
     if rig.virtual:
         drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)

@@ -248,11 +248,8 @@ def flash(
     check_target(to)
     kind, costs, trial, remarks = _examined(diagram, precision, "native", say or (lambda what, share: None))
     if trial.fault and not (force or dry_run):
-        raise ExperimentError(
-            f"unstable on the virtual rig: {trial.fault}",
-            diagram.name,
-            f"nothing was flashed; mend it with `twodof diagram margins`, or use {FORCE} (in Python force=True)",
-        )
+        remedy = f"nothing was flashed; mend it with `twodof diagram margins`, or use {FORCE} (in Python force=True)"
+        raise ExperimentError(f"unstable on the virtual rig: {trial.fault}", diagram.name, remedy)
     warnings = () if px4 is None else _checked(diagram, px4)
     with open_target(to, kind, out, key) as there:
         if not dry_run:

@@ -164,10 +164,7 @@ class LevelHold(Block):
         samples = where(holding, minimum(x.samples + int32(1), int32(2**24)), int32(0))
         used = samples - p.settle_samples
         weight = 1.0 / minimum(maximum(to_real(used), 1.0), p.window_samples)
-        return {
-            "mean": where(used > int32(0), x.mean + weight * (u.M - x.mean), x.mean),
-            "samples": samples,
-        }
+        return {"mean": where(used > int32(0), x.mean + weight * (u.M - x.mean), x.mean), "samples": samples}
 
 
 class ArmingReset(Block):
@@ -267,26 +264,9 @@ def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: D
     add_inputs(d, "mode", "in_reset", *SET_POINTS, "x", "v", "theta", "q")
     d.add("logic", ModeLogic(), mode="mode", in_reset="in_reset")
     v0_used, tilt, thrust = _stock_position(d, gains) if position is None else _user_position(d, position)
-    d.add(
-        "setpoints",
-        SetPointsInUse(),
-        mode="mode",
-        x0="x0",
-        x="x",
-        v0=v0_used,
-        theta0="theta0",
-        projected=tilt,
-    )
+    d.add("setpoints", SetPointsInUse(), mode="mode", x0="x0", x="x", v0=v0_used, theta0="theta0", projected=tilt)
     q0_used, moment = _stock_attitude(d, gains) if attitude is None else _user_attitude(d, attitude)
-    d.add(
-        "command",
-        MomentAndThrust(),
-        mode="mode",
-        M_loop=moment,
-        T_loop=thrust,
-        M_open="M_open",
-        thrust="thrust",
-    )
+    d.add("command", MomentAndThrust(), mode="mode", M_loop=moment, T_loop=thrust, M_open="M_open", thrust="thrust")
     d.output("M", "command.M")
     d.output("T", "command.T")
     d.output("q0", q0_used)

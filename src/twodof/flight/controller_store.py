@@ -80,11 +80,8 @@ class ControllerStore:
         try:
             make_folder(self.folder)
         except OSError as reason:
-            raise DiagramError(
-                f"the folder cannot be made: {reason.strerror}",
-                str(self.folder),
-                "set TWODOF_DATA to a folder that is writable",
-            ) from reason
+            what = f"the folder cannot be made: {reason.strerror}"
+            raise DiagramError(what, str(self.folder), "set TWODOF_DATA to a folder that is writable") from reason
         save_diagram(diagram, path, overwrite=True)
         return path
 

@@ -95,11 +95,8 @@ def core(
     """
     users = by_kind(controllers)
     if outside and (users or not failsafe):
-        raise DiagramError(
-            "commands of an outside controller need the failsafe and exclude `controllers`",
-            "outside",
-            "give failsafe=True and no controllers",
-        )
+        what = "commands of an outside controller need the failsafe and exclude `controllers`"
+        raise DiagramError(what, "outside", "give failsafe=True and no controllers")
     d = Diagram("flight", "estimator, level hold, cascade and mixer at 250 Hz")
     safety = (*(FAILSAFE_INPUTS if failsafe else ()), *(USER_INPUTS if outside else ()))
     add_inputs(d, *(name for name, *_ in (*INPUTS, *safety)))
@@ -114,12 +111,7 @@ def core(
     d.add("previous", PreviousPitch(), theta="estimator.theta")
     d.add("arming", ArmingReset(), mode=given["mode"], thrust=given["thrust"], in_reset="in_reset")
     d.add(
-        "hold",
-        LevelHold(),
-        mode=given["mode"],
-        thrust=given["thrust"],
-        excitation=given["M_open"],
-        use_trim="use_trim",
+        "hold", LevelHold(), mode=given["mode"], thrust=given["thrust"], excitation=given["M_open"], use_trim="use_trim"
     )
     in_reset = "arming"
     if failsafe:

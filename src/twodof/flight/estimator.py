@@ -33,12 +33,7 @@ class LongitudinalFilter(Block):
     """
 
     inputs = ports(*IMU, *RANGE)
-    outputs = (
-        *ports("theta", "q"),
-        Port("bias", unit="rad/s"),
-        *ports("x", "v"),
-        *(Port(name) for name in COVARIANCE),
-    )
+    outputs = (*ports("theta", "q"), Port("bias", unit="rad/s"), *ports("x", "v"), *(Port(name) for name in COVARIANCE))
     states = (
         State("theta", unit="rad"),
         State("bias", unit="rad/s"),
@@ -67,10 +62,7 @@ class LongitudinalFilter(Block):
         }
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        s = {
-            "theta": where(x.started, x.theta + (u.gyro_y - x.bias) * t.dt, atan2(u.acc_x, -u.acc_z)),
-            "bias": x.bias,
-        }
+        s = {"theta": where(x.started, x.theta + (u.gyro_y - x.bias) * t.dt, atan2(u.acc_x, -u.acc_z)), "bias": x.bias}
         acceleration = cos(s["theta"]) * u.acc_x + sin(s["theta"]) * u.acc_z
         slope = cos(s["theta"]) * u.acc_z - sin(s["theta"]) * u.acc_x  # of the acceleration by theta, about -g
         s["x"] = x.x + where(x.started, (x.v + 0.5 * t.dt * acceleration) * t.dt, 0.0)
@@ -170,11 +162,7 @@ class Publisher(Block):
         # 100 / 250 = 2 / 5: an accumulator that overflows twice in five samples.
         phase = x.phase + int32(2)
         due = phase >= int32(5)
-        return {
-            "x": where(due, u.x, x.x),
-            "v": where(due, u.v, x.v),
-            "phase": where(due, phase - int32(5), phase),
-        }
+        return {"x": where(due, u.x, x.x), "v": where(due, u.v, x.v), "phase": where(due, phase - int32(5), phase)}
 
 
 def estimator(position_filter: str = "joint") -> Diagram:

@@ -23,11 +23,7 @@ class Mixer(Block):
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         fore, aft = u.T + u.M, u.T - u.M
         clipped_fore, clipped_aft = (maximum(0.0, minimum(1.0, command)) for command in (fore, aft))
-        return {
-            "fore": clipped_fore,
-            "aft": clipped_aft,
-            "saturated": (clipped_fore != fore) | (clipped_aft != aft),
-        }
+        return {"fore": clipped_fore, "aft": clipped_aft, "saturated": (clipped_fore != fore) | (clipped_aft != aft)}
 
 
 class FiniteCommands(Block):

@@ -136,11 +136,8 @@ def kind_of(diagram: Diagram) -> str:
     nearest = nearest_template(diagram)
     if nearest is None:
         known = "; ".join(f"{t.name} gives {', '.join(port.name for port in t.outputs)}" for t in TEMPLATES.values())
-        raise DiagramError(
-            f"no template has its outputs ({', '.join(diagram.outputs) or 'none'})",
-            diagram.name,
-            f"give the diagram the ports of one: {known}",
-        )
+        what = f"no template has its outputs ({', '.join(diagram.outputs) or 'none'})"
+        raise DiagramError(what, diagram.name, f"give the diagram the ports of one: {known}")
     return nearest
 
 
@@ -171,11 +168,8 @@ def by_kind(diagrams: Iterable[Diagram]) -> dict[str, Diagram]:
     for diagram in diagrams:
         name = check_template(diagram).name
         if name in found:
-            raise DiagramError(
-                f"{found[name].name!r} and {diagram.name!r} are both of the template {name}",
-                "controllers",
-                "give at most one diagram for each template",
-            )
+            what = f"{found[name].name!r} and {diagram.name!r} are both of the template {name}"
+            raise DiagramError(what, "controllers", "give at most one diagram for each template")
         found[name] = diagram
     return found
 

@@ -49,11 +49,9 @@ class AppendOnlyFile(ABC):
         overwrite: bool = False,
     ) -> None:
         if not 0.0 < flush_s <= 60.0 or not 0 < capacity_bytes <= MAX_CAPACITY_BYTES or full not in ("drop", "wait"):
-            raise LogError(
-                f"one of flush_s {flush_s!r}, capacity_bytes {capacity_bytes!r} and full {full!r} is out of range",
-                str(path),
-                f"give 0 < flush_s <= 60, at most {MAX_CAPACITY_BYTES} bytes and 'drop' or 'wait'",
-            )
+            what = f"one of flush_s {flush_s!r}, capacity_bytes {capacity_bytes!r} and full {full!r} is out of range"
+            remedy = f"give 0 < flush_s <= 60, at most {MAX_CAPACITY_BYTES} bytes and 'drop' or 'wait'"
+            raise LogError(what, str(path), remedy)
         self.path = Path(path)
         self._begun = partial_of(path) if overwrite else self.path  # where it is until its head is written
         self._flush_s, self._capacity, self._full, self._part_bytes = flush_s, capacity_bytes, full, part_bytes

@@ -278,11 +278,8 @@ class FlightLog:
         edges = np.diff(on)
         first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
         if len(first) > MAX_STRETCHES:
-            raise LogError(
-                f"{len(first)} stretches with thrust",
-                f"{self.source}: T",
-                "this is not a flight log: give another file",
-            )
+            what = f"{len(first)} stretches with thrust"
+            raise LogError(what, f"{self.source}: T", "this is not a flight log: give another file")
         return [(float(channel.time[a]), float(channel.time[b])) for a, b in zip(first, last, strict=True)]
 
 

@@ -52,11 +52,8 @@ def decode_mat(data: bytes, where: str, time: str = "", period: str = "") -> Fli
             raise LogError(what, where, "export the log again")
     if not channels:
         names = ", ".join(_described(*item) for item in held.items()) or "nothing"
-        raise LogError(
-            f"no struct {{timestamp, value}} in the file, which holds: {names}",
-            where,
-            "give a log of the drone; `twodof identify` reads vectors: --time NAME or --period SECONDS",
-        )
+        remedy = "give a log of the drone; `twodof identify` reads vectors: --time NAME or --period SECONDS"
+        raise LogError(f"no struct {{timestamp, value}} in the file, which holds: {names}", where, remedy)
     note = held.get(_NOTE)
     noted = isinstance(note, np.ndarray) and note.dtype.kind == "U" and note.size == 1
     kept = provenance.from_json(str(note.item()), where) if isinstance(note, np.ndarray) and noted else {}

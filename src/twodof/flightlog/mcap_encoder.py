@@ -15,9 +15,7 @@ import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment as AttachmentRecord,
-)
+from mcap.records import Attachment as AttachmentRecord
 from mcap.records import (
     AttachmentIndex,
     Channel,

@@ -112,11 +112,9 @@ def named(streams: Iterable[str | Topic | McapStream]) -> dict[str, McapStream]:
         if name in found or any(made.topic == one.topic or made.mat == one.mat for one in found.values()):
             raise LogError("is recorded twice", name, "name each topic and channel once")
         if not made.fits or len(found) >= MAX_CHANNELS:
-            raise LogError(
-                f"{made.width} columns, fields {listed(made.fields)}, channel {shown(made.mat)} cannot be recorded",
-                name,
-                f"give a name for each column or none; at most {MAX_WIDTH} columns and {MAX_CHANNELS} topics",
-            )
+            what = f"{made.width} columns, fields {listed(made.fields)}, channel {shown(made.mat)} cannot be recorded"
+            remedy = f"give a name for each column or none; at most {MAX_WIDTH} columns and {MAX_CHANNELS} topics"
+            raise LogError(what, name, remedy)
         found[name] = made
     return found
 

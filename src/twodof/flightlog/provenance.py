@@ -108,12 +108,7 @@ def separator_of(heading: str) -> str:
 
 def of_file(path: str | Path, data: bytes, kind: str) -> dict[str, Any]:
     """Return the entry `file` of a log's provenance: name, format, size and checksum."""
-    return {
-        "name": Path(path).name,
-        "format": kind,
-        "bytes": len(data),
-        "sha256": hashlib.sha256(data).hexdigest(),
-    }
+    return {"name": Path(path).name, "format": kind, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
 def to_json(log: FlightLog) -> str:

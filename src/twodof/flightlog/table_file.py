@@ -426,11 +426,7 @@ def _constant(table: pa.Table, name: str, where: str) -> float:
 
 
 def _channels_of_wide(
-    table: pa.Table,
-    described: Mapping[str, dict[str, Any]],
-    where: str,
-    time: NDArray[np.float64],
-    stamp: str,
+    table: pa.Table, described: Mapping[str, dict[str, Any]], where: str, time: NDArray[np.float64], stamp: str
 ) -> dict[str, Channel]:
     """Return the channels of a wide table by their described columns; each further column is a channel of its own.
 

@@ -17,17 +17,7 @@ from twodof.flightlog import provenance
 from twodof.flightlog.log import MAX_CHANNELS, Channel, FlightLog, near_the_others, sanitise
 from twodof.flightlog.provenance import RECOVER, Loss, noted
 from twodof.flightlog.steps import ASKED, BOOT, STEP_TOPIC, safety_channel, step_channels
-from twodof.flightlog.ulog_writer import (
-    HEADER,
-    LETTERS,
-    LEVELS,
-    MAGIC,
-    MARK,
-    MESSAGE,
-    OWN,
-    ULogWriter,
-    topic_format,
-)
+from twodof.flightlog.ulog_writer import HEADER, LETTERS, LEVELS, MAGIC, MARK, MESSAGE, OWN, ULogWriter, topic_format
 from twodof.signals import BY_MAT, PERIOD, SEVERITIES, TOPICS
 
 _PARAMETER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,15}")
@@ -196,10 +186,7 @@ def _elements(name: str, count: int) -> tuple[str, ...]:
 # x axis, as for the modules that `twodof px4 export` makes.
 PX4_SOURCES: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = MappingProxyType(
     {
-        "acc": (
-            ("sensor_combined", _elements("accelerometer_m_s2", 3)),
-            ("vehicle_acceleration", _elements("xyz", 3)),
-        ),
+        "acc": (("sensor_combined", _elements("accelerometer_m_s2", 3)), ("vehicle_acceleration", _elements("xyz", 3))),
         "gyr": (("sensor_combined", _elements("gyro_rad", 3)),),
         "dist": (("distance_sensor", ("current_distance",)),),
         "theta": (("vehicle_attitude", _elements("q", 4)),),

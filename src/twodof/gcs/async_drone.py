@@ -243,14 +243,7 @@ class AsyncDrone(DroneView):
         self.setpoints.stop()
         spoken = self.texts.count
         self.commands.refusals.clear()
-        asked = message(
-            "TWODOF_RIG_RESET",
-            seed=seed,
-            x=x,
-            noise=noise,
-            rings=int(rings),
-            **self.session.target,
-        )
+        asked = message("TWODOF_RIG_RESET", seed=seed, x=x, noise=noise, rings=int(rings), **self.session.target)
         with self.clock.resetting():
             got = await self.session.ask(asked, ("TWODOF_RIG",), _reset_answer, deadline)
             if got.flags & _REFUSED:

@@ -144,11 +144,9 @@ class DroneClock:
                     moved, seen = session.now, self.tick
                 # Measured when the drone is heard: a silent drone is lost instead.
                 if session.heard_at - moved > still or session.heard_at > end:
-                    raise Timeout(
-                        f"the drone's time stands still or is too slow: it is at tick {self.tick}",
-                        session.where,
-                        "no message with its time comes: subscribe to ATTITUDE, or look at the link",
-                    )
+                    what = f"the drone's time stands still or is too slow: it is at tick {self.tick}"
+                    remedy = "no message with its time comes: subscribe to ATTITUDE, or look at the link"
+                    raise Timeout(what, session.where, remedy)
                 if within is not None:
                     within.check()
                 look = session.now + SETPOINT_TICKS * TICK_S

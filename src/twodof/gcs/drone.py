@@ -21,14 +21,7 @@ from twodof.gcs.drone_state import DroneView
 from twodof.gcs.files import AsyncFiles, AsyncLogs
 from twodof.gcs.loop_thread import LoopThread
 from twodof.gcs.parameters import AsyncParameters
-from twodof.gcs.telemetry import (
-    QUEUE,
-    AsyncSignal,
-    Callback,
-    SampleStream,
-    TelemetrySample,
-    Value,
-)
+from twodof.gcs.telemetry import QUEUE, AsyncSignal, Callback, SampleStream, TelemetrySample, Value
 from twodof.link.signing import Key
 
 P = ParamSpec("P")

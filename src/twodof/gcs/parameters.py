@@ -313,11 +313,8 @@ class AsyncParameters:
         try:
             rows = read_description(content)
         except (ValueError, LookupError, TypeError, RecursionError, ParameterError) as damage:
-            raise Rejected(
-                f"the drone's description of its parameters cannot be read: {damage}",
-                deadline.where,
-                "parameters.all() lists them",
-            ) from damage
+            what = f"the drone's description of its parameters cannot be read: {damage}"
+            raise Rejected(what, deadline.where, "parameters.all() lists them") from damage
         self._described = {row.name: row for row in rows}
         self._paths = {row.path: row.name for row in rows if row.path}
         self.known = {name: entry._replace(described=self._described.get(name)) for name, entry in self.known.items()}
@@ -387,11 +384,9 @@ class AsyncParameters:
             if got.transaction != number or got.action != action:
                 return None
             if got.result and not (wanted and got.result == _INCOMPLETE):
-                raise Rejected(
-                    self._why(got.param_id or "the change", got.result),
-                    f"{self._session.where}, {deadline.doing}",
-                    "remove this cause and try again; nothing was changed",
-                )
+                what = self._why(got.param_id or "the change", got.result)
+                remedy = "remove this cause and try again; nothing was changed"
+                raise Rejected(what, f"{self._session.where}, {deadline.doing}", remedy)
             return not got.result
 
         return await self._session.ask(question, ("TWODOF_PARAM_TRANSACTION",), accept, deadline)

@@ -27,19 +27,13 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
     effect = length * scale
     mute = [label for label, e in zip(labels, effect, strict=True) if e <= 1e-9 * effect.max()]
     if mute:
-        raise IdentificationError(
-            f"the data say nothing about {_listed(mute)}",
-            where,
-            "fix it (leave it out of `estimate`), or excite what it acts on",
-        )
+        what = f"the data say nothing about {_listed(mute)}"
+        raise IdentificationError(what, where, "fix it (leave it out of `estimate`), or excite what it acts on")
     if jacobian.shape[0] < jacobian.shape[1] or s[-1] < RANK_TOLERANCE * s[0]:
         involved = np.abs(vt[s < RANK_TOLERANCE * s[0]]).max(axis=0, initial=0.0)
         names = [label for label, share in zip(labels, involved, strict=True) if share > 0.05]
-        raise IdentificationError(
-            f"the data cannot tell apart {_listed(names or list(labels))}",
-            where,
-            "fix one of them, measure another output, or add an experiment in which they act differently",
-        )
+        remedy = "fix one of them, measure another output, or add an experiment in which they act differently"
+        raise IdentificationError(f"the data cannot tell apart {_listed(names or list(labels))}", where, remedy)
     return float(s[0] / s[-1])
 
 

@@ -270,11 +270,8 @@ class Estimate:
         parts = (label,) if label in self.labels else self.sums.get(label, ())
         found = [self.labels.index(part) for part in parts if part in self.labels]
         if not found:
-            raise IdentificationError(
-                f"'{label}' was not estimated",
-                f"structure '{self.structure}'",
-                f"estimated were: {', '.join(self.labels)}",
-            )
+            remedy = f"estimated were: {', '.join(self.labels)}"
+            raise IdentificationError(f"'{label}' was not estimated", f"structure '{self.structure}'", remedy)
         return found
 
     def _deviation(self, covariance: Array, label: str) -> float:

@@ -164,16 +164,12 @@ def frequency_response(
             raise record.error(f"'{name}' does not move", "choose a window with excitation")
     count = len(inputs)
     if references and len(references) != count:
-        raise record.error(
-            f"{len(references)} references for {count} inputs",
-            f"name one for each of {', '.join(inputs)}: what moves them from outside the loop",
-        )
+        what = f"{len(references)} references for {count} inputs"
+        raise record.error(what, f"name one for each of {', '.join(inputs)}: what moves them from outside the loop")
     samples = record.steps * 2 // 9 if segment is None else segment / record.dt
     if not _FEWEST <= samples <= record.steps / 1.5:
-        raise record.error(
-            f"segments of {samples:g} samples do not fit at least twice into {record.steps} samples",
-            "use a longer record or a shorter segment",
-        )
+        what = f"segments of {samples:g} samples do not fit at least twice into {record.steps} samples"
+        raise record.error(what, "use a longer record or a shorter segment")
     length = round(samples)
     try:
         taper = np.asarray(get_window(window, length), dtype=np.float64)
@@ -193,10 +189,8 @@ def frequency_response(
     powers = np.einsum("fii->fi", matrix).real
     usable = _usable(between, powers[:, u], powers[:, r])
     if not usable.any():
-        raise record.error(
-            f"the inputs {', '.join(inputs)} move alike at every frequency, or do not follow the references",
-            "move one of them by itself, or leave it out",
-        )
+        what = f"the inputs {', '.join(inputs)} move alike at every frequency, or do not follow the references"
+        raise record.error(what, "move one of them by itself, or leave it out")
     inverse = np.linalg.inv(np.where(usable[:, None, None], between, np.eye(count)))
     response = (inverse @ matrix[:, r, -1:])[:, :, 0]
     p_yy = powers[:, -1]

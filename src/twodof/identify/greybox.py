@@ -137,10 +137,8 @@ def fit(
 
     problem = posed(several)
     if problem.size + len(problem.known) <= len(problem.slots):
-        raise structure.error(
-            f"{problem.size} samples for {len(problem.slots)} unknowns leave none to judge the fit by",
-            "take a longer record, or fix unknowns (leave them out of `estimate`)",
-        )
+        what = f"{problem.size} samples for {len(problem.slots)} unknowns leave none to judge the fit by"
+        raise structure.error(what, "take a longer record, or fix unknowns (leave them out of `estimate`)")
     with _naming_the_unit_of_time(posed, several, where):
         found = _found(problem, posed, disturbance, noise or {})
     minimum, jacobian = found.minimum, found.jacobian
@@ -330,10 +328,9 @@ def _check_stable(problem: Problem, found: Disturbed) -> None:
     if structure.predictor is None or found.predictor is not None:
         return
     if any(is_unstable(structure, problem.values(x, 0), dt) for x in (problem.x0, found.minimum.x)):
-        raise structure.error(
-            "the model is unstable, and its simulation diverges from the data for any values of the unknowns",
-            "take disturbance='innovation': a predictor corrects the states by what was measured",
-        )
+        what = "the model is unstable, and its simulation diverges from the data for any values of the unknowns"
+        remedy = "take disturbance='innovation': a predictor corrects the states by what was measured"
+        raise structure.error(what, remedy)
 
 
 @contextmanager

@@ -264,10 +264,8 @@ def best(
         found.append(Design(excitation, info, _cost(structure, info), ()))
         tried.append((shape, amplitude, found[-1].cost))
     if not found:
-        raise structure.error(
-            f"no excitation fits: {'; '.join(sorted(reasons)) or 'no shape was given'}",
-            "try shorter shapes, a longer experiment, or another kind of signal",
-        )
+        what = f"no excitation fits: {'; '.join(sorted(reasons)) or 'no shape was given'}"
+        raise structure.error(what, "try shorter shapes, a longer experiment, or another kind of signal")
     best_of = min(found, key=lambda one: one.cost)
     return replace(best_of, tried=tuple(tried))
 
@@ -279,12 +277,7 @@ def _cost(structure: Structure, info: Information) -> float:
 
 
 def _largest(
-    structure: Structure,
-    family: Family,
-    shape: float,
-    times: Array,
-    limits: Limits,
-    values: Mapping[str, float] | None,
+    structure: Structure, family: Family, shape: float, times: Array, limits: Limits, values: Mapping[str, float] | None
 ) -> tuple[float, str]:
     """Return the largest amplitude within the limits, to 1 %, or 0 and the limit that is in the way."""
     full = {name: unknown.value for name, unknown in structure.unknowns.items()} | dict(values or {})

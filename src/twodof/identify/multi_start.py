@@ -135,7 +135,5 @@ def _check(structure: Structure, within: Mapping[str, tuple[float, float]], star
         lower, upper = structure.unknowns[name].lower, structure.unknowns[name].upper
         low, high = number_pair(ends)
         if not (math.isfinite(high - low) and lower <= low < high <= upper):
-            raise structure.error(
-                f"the first guess of '{name}' cannot be drawn from {shown(ends)}",
-                f"give a range, low first, within {lower:g} to {upper:g}",
-            )
+            what = f"the first guess of '{name}' cannot be drawn from {shown(ends)}"
+            raise structure.error(what, f"give a range, low first, within {lower:g} to {upper:g}")

@@ -167,10 +167,8 @@ def _columns(model: PolynomialModel, record: Record) -> _Columns:
         record.signals(name, model.output)
     samples = record.outputs[model.output]
     if not (samples.on_grid and samples.value.size == record.steps):
-        raise record.error(
-            f"'{model.output}' is not sampled at each step of {record.dt:.6g} s",
-            f"put it there: Record.resample(record.dt) (--resample {record.dt:.6g})",
-        )
+        what = f"'{model.output}' is not sampled at each step of {record.dt:.6g} s"
+        raise record.error(what, f"put it there: Record.resample(record.dt) (--resample {record.dt:.6g})")
     return _Columns(record, np.array([record.inputs[name] for name in model.inputs]), samples.value)
 
 

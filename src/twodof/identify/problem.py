@@ -317,11 +317,8 @@ class Band:
         inner = (frequency > 0.0) & (frequency < 0.5 / interval * (1.0 - 1e-9))
         self.bins = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & inner)
         if self.bins.size == 0:
-            raise IdentificationError(
-                f"no Fourier coefficient lies in {band[0]:g} to {band[1]:g} Hz",
-                where,
-                f"the resolution is {1.0 / (interval * self._size):g} Hz",
-            )
+            what = f"no Fourier coefficient lies in {band[0]:g} to {band[1]:g} Hz"
+            raise IdentificationError(what, where, f"the resolution is {1.0 / (interval * self._size):g} Hz")
 
     def coefficients(self, error: Array) -> Array:
         """Real parts, then imaginary parts, shape (2 * bins,); white noise keeps its standard deviation.
@@ -345,8 +342,5 @@ def _numbers(position: Array, where: str) -> NDArray[np.int64]:
         even = np.abs(interval - count * usual).max() <= _JITTER * usual
         if even and count.max() <= 2.0 and lost <= _MOST_LOST * position.size:
             return number.astype(np.int64)
-    raise IdentificationError(
-        "the frequency domain needs samples on a uniform clock, of which at most single ones are lost, one in ten",
-        where,
-        "fit in the time domain, or resample the log first",
-    )
+    what = "the frequency domain needs samples on a uniform clock, of which at most single ones are lost, one in ten"
+    raise IdentificationError(what, where, "fit in the time domain, or resample the log first")

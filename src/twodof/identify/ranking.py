@@ -158,10 +158,8 @@ def select(
         except IdentificationError as error:
             refused = f": {error.what}"
     if len(fits) < 2:
-        raise structure.error(
-            f"{len(fits)} of {len(subsets)} subsets could be fitted{refused}",
-            "name other unknowns, or give better first values",
-        )
+        what = f"{len(fits)} of {len(subsets)} subsets could be fitted{refused}"
+        raise structure.error(what, "name other unknowns, or give better first values")
     return rank(fits, criterion=criterion), fits
 
 
@@ -178,11 +176,8 @@ def _check(fits: Mapping[str, Estimate]) -> None:
         if one.domain != "time domain":
             raise IdentificationError(f"{name!r:.80} is a fit in the {one.domain}", "rank", "fit without `band`")
         if data[name] != data[first]:
-            raise IdentificationError(
-                f"{first!r:.80} and {name!r:.80} were fitted to different data",
-                "rank",
-                "fit all candidates to the same records and outputs",
-            )
+            what = f"{first!r:.80} and {name!r:.80} were fitted to different data"
+            raise IdentificationError(what, "rank", "fit all candidates to the same records and outputs")
 
 
 def _filter_of(one: Comparison) -> Autoregression | None:

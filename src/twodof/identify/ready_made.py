@@ -321,11 +321,8 @@ def experiment_in(log: FlightLog) -> str:
         return kind_of(log).name
     name = FLOWN_AS.get(flown, flown)
     if name not in KINDS:
-        raise IdentificationError(
-            f"nothing is identified from the experiment {shown(flown)}",
-            log.source,
-            f"say which it is: {', '.join(KINDS)}",
-        )
+        what = f"nothing is identified from the experiment {shown(flown)}"
+        raise IdentificationError(what, log.source, f"say which it is: {', '.join(KINDS)}")
     return name
 
 
@@ -346,11 +343,9 @@ def structure_for(experiment: str, name: str = AUTO) -> Structure:
     structure = STRUCTURES[name]()
     if experiment in KINDS and not set(structure.inputs) <= set(KINDS[experiment].inputs):
         driven = ", ".join(KINDS[experiment].inputs)
-        raise IdentificationError(
-            f"this structure is driven by {', '.join(structure.inputs)}, the experiment by {driven}",
-            f"structure '{name}', experiment '{experiment}'",
-            f"take the structure {AUTO!r}",
-        )
+        what = f"this structure is driven by {', '.join(structure.inputs)}, the experiment by {driven}"
+        remedy = f"take the structure {AUTO!r}"
+        raise IdentificationError(what, f"structure '{name}', experiment '{experiment}'", remedy)
     return structure
 
 
@@ -363,11 +358,9 @@ def by_hand(
     if experiment == "attitude":
         raise IdentificationError(NOT_BY_HAND, f"experiment '{experiment}'", "take output error with its noise model")
     if experiment == "impulse" or free is None:
-        raise IdentificationError(
-            "by hand, the poles are read from a free response and the rest from a doublet",
-            f"experiment '{experiment}'",
-            "give a doublet's log, and the impulse's beside it",
-        )
+        what = "by hand, the poles are read from a free response and the rest from a doublet"
+        remedy = "give a doublet's log, and the impulse's beside it"
+        raise IdentificationError(what, f"experiment '{experiment}'", remedy)
     return identify_pitch(free, [record, *others])
 
 

@@ -78,10 +78,8 @@ class Record:
     def __post_init__(self) -> None:
         for name, hold in self.hold.items():
             if hold not in HOLDS or name not in self.inputs:
-                raise self.error(
-                    f"no hold named {hold!r:.40} is defined for an input '{name}'",
-                    f"holds: {', '.join(HOLDS)}; inputs: {', '.join(self.inputs)}",
-                )
+                what = f"no hold named {hold!r:.40} is defined for an input '{name}'"
+                raise self.error(what, f"holds: {', '.join(HOLDS)}; inputs: {', '.join(self.inputs)}")
 
     def __repr__(self) -> str:
         ports = f"inputs {listed(self.inputs)}; outputs {listed(self.outputs)}"
@@ -112,10 +110,8 @@ class Record:
     def signals(self, input: str, output: str) -> tuple[Array, Array, Array]:
         """Return times and values of an output, and an input's steps. Raises IdentificationError if one is missing."""
         if input not in self.inputs or output not in self.outputs:
-            raise self.error(
-                f"the record does not hold '{input}' as input and '{output}' as output",
-                f"inputs: {', '.join(self.inputs)}; outputs: {', '.join(self.outputs)}",
-            )
+            what = f"the record does not hold '{input}' as input and '{output}' as output"
+            raise self.error(what, f"inputs: {', '.join(self.inputs)}; outputs: {', '.join(self.outputs)}")
         return self.output_time(output), self.outputs[output].value, self.inputs[input]
 
     @classmethod
@@ -168,11 +164,8 @@ class Record:
         holds = dict(hold) if isinstance(hold, Mapping) else dict.fromkeys(inputs, hold)
         for channel in smooth:
             if channel not in inputs or holds.get(channel, "zoh") != "zoh":
-                raise IdentificationError(
-                    f"'{channel}' is named in `smooth`, but it is not an input that is held",
-                    f"record '{name}'",
-                    "name it in `inputs` too, or use `hold` alone",
-                )
+                what = f"'{channel}' is named in `smooth`, but it is not an input that is held"
+                raise IdentificationError(what, f"record '{name}'", "name it in `inputs` too, or use `hold` alone")
         checked = {channel: _checked(channel, channels) for channel in (*inputs, *outputs)}
         clock = checked[inputs[0]][0]
         inside = (clock >= start) & (clock <= stop)
@@ -197,11 +190,8 @@ class Record:
             if channel in smooth:
                 held[channel] = np.interp(middle, time, value)
             elif latest[0] < 0 and time[0] > middle[0] + step:
-                raise IdentificationError(
-                    f"no sample at or before the window's start {origin:g} s",
-                    f"record '{name}', channel '{channel}'",
-                    "start the window later",
-                )
+                what = f"no sample at or before the window's start {origin:g} s"
+                raise IdentificationError(what, f"record '{name}', channel '{channel}'", "start the window later")
             elif holds.get(channel, "zoh") != "zoh":
                 held[channel] = np.interp(origin + step * np.arange(steps), time, value)
             elif jittery and np.array_equal(time, checked[inputs[0]][0]):
@@ -368,11 +358,9 @@ def check_record(one: object) -> None:
 def _check_window(keep: NDArray[np.bool_], least: int, window: tuple[float, float], where: str, time: Array) -> None:
     """Raise IdentificationError if a window [s] keeps fewer than `least` of the samples at `time`."""
     if np.count_nonzero(keep) < least:
-        raise IdentificationError(
-            f"the window {window[0]:g} to {window[1]:g} s holds {np.count_nonzero(keep)} samples",
-            where,
-            f"it spans {time[0]:g} to {time[-1]:g} s" if time.size else "it is empty",
-        )
+        what = f"the window {window[0]:g} to {window[1]:g} s holds {np.count_nonzero(keep)} samples"
+        remedy = f"it spans {time[0]:g} to {time[-1]:g} s" if time.size else "it is empty"
+        raise IdentificationError(what, where, remedy)
 
 
 def _checked(channel: str, channels: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> tuple[Array, Array]:
@@ -392,11 +380,8 @@ def _checked(channel: str, channels: Mapping[str, tuple[ArrayLike, ArrayLike]]) 
         )
     back = np.flatnonzero(np.diff(t) <= 0.0)
     if back.size:
-        raise IdentificationError(
-            f"time does not increase at sample {back[0] + 1} ({t[back[0]]:g} s, then {t[back[0] + 1]:g} s)",
-            where,
-            "sort the log or cut it at the jump",
-        )
+        what = f"time does not increase at sample {back[0] + 1} ({t[back[0]]:g} s, then {t[back[0] + 1]:g} s)"
+        raise IdentificationError(what, where, "sort the log or cut it at the jump")
     return t, y
 
 

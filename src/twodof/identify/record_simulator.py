@@ -30,18 +30,14 @@ class RecordSimulator:
     def __init__(self, structure: Structure, record: Record) -> None:
         missing = [name for name in structure.inputs if name not in record.inputs]
         if missing:
-            raise IdentificationError(
-                f"the structure's input '{missing[0]}' is not in the record",
-                f"structure '{structure.name}', record '{record.name}'",
-                f"the record's inputs are: {', '.join(record.inputs)}",
-            )
+            what = f"the structure's input '{missing[0]}' is not in the record"
+            remedy = f"the record's inputs are: {', '.join(record.inputs)}"
+            raise IdentificationError(what, f"structure '{structure.name}', record '{record.name}'", remedy)
         self.outputs = tuple(name for name in structure.outputs if name in record.outputs)
         if not self.outputs:
-            raise IdentificationError(
-                f"none of the structure's outputs ({', '.join(structure.outputs)}) was measured",
-                f"structure '{structure.name}', record '{record.name}'",
-                f"the record's outputs are: {', '.join(record.outputs)}",
-            )
+            what = f"none of the structure's outputs ({', '.join(structure.outputs)}) was measured"
+            remedy = f"the record's outputs are: {', '.join(record.outputs)}"
+            raise IdentificationError(what, f"structure '{structure.name}', record '{record.name}'", remedy)
         moving = any(record.hold_of(name) != "zoh" for name in structure.inputs)
         self._pieces = max(structure.substeps, LEAST_TICKS if moving else 1)
         self._machine = program_of(structure, record.dt, self._pieces).machine()

@@ -223,11 +223,9 @@ def read_free_response(record: Record) -> FreeResponse:
     level = max(3.0 * noise, 0.5 * SETTLED * float(np.abs(y).max()))
     runs = _runs(y, level)
     if len(runs) < 3:
-        raise IdentificationError(
-            f"only {len(runs)} half swings stand out of the noise ({noise:.2g} rad/s)",
-            f"record '{record.name}', channel 'q'",
-            "excite more strongly or take a longer window after the impulse",
-        )
+        what = f"only {len(runs)} half swings stand out of the noise ({noise:.2g} rad/s)"
+        remedy = "excite more strongly or take a longer window after the impulse"
+        raise IdentificationError(what, f"record '{record.name}', channel 'q'", remedy)
     crossings = np.array([_crossing(t, y, a, b) for (_, a), (b, _) in pairwise(runs)])
     tops = [_top(t, y, a, b) for a, b in runs]
     times, peaks = np.array([p[0] for p in tops]), np.array([p[1] for p in tops])
@@ -257,11 +255,8 @@ def read_doublet(record: Record, w_n: float, xi: float, trim: float | None = Non
     measured, expected = (_averaged(sign * signal)[first] for signal in (grid, unit))
     peak, unit_peak = float(measured.max()), float(expected.max())
     if peak < 5.0 * noise:
-        raise IdentificationError(
-            f"the response's peak {peak:.3g} rad/s hardly exceeds its noise {noise:.3g} rad/s",
-            f"record '{record.name}', channel 'q'",
-            "use a larger or longer doublet",
-        )
+        what = f"the response's peak {peak:.3g} rad/s hardly exceeds its noise {noise:.3g} rad/s"
+        raise IdentificationError(what, f"record '{record.name}', channel 'q'", "use a larger or longer doublet")
     mu = peak / unit_peak
     shift = _best_shift(grid, mu * unit)
     loud = sign * grid[edges[0] :] > 3.0 * noise
@@ -286,11 +281,9 @@ def rest_before(record: Record, time: Array, edge: float, output: str) -> NDArra
     before = time < edge
     count = np.count_nonzero(before)
     if count < 5:
-        raise IdentificationError(
-            f"{count} samples precede the first edge at {edge:g} s",
-            f"record '{record.name}', channel '{output}'",
-            "start the window at least 0.05 s earlier",
-        )
+        what = f"{count} samples precede the first edge at {edge:g} s"
+        remedy = "start the window at least 0.05 s earlier"
+        raise IdentificationError(what, f"record '{record.name}', channel '{output}'", remedy)
     return before
 
 

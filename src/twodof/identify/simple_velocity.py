@@ -138,11 +138,9 @@ def read_step(record: Record) -> StepResponse:
     top = int(np.argmax(y))
     peak = float(y[top])
     if peak < 5.0 * noise or top < 8:
-        raise IdentificationError(
-            f"the peak of v, {peak:.3g} m/s, hardly exceeds its noise {noise:.3g} m/s",
-            f"record '{record.name}', channel 'v'",
-            "use a larger or longer doublet: below the static friction the cart does not move",
-        )
+        what = f"the peak of v, {peak:.3g} m/s, hardly exceeds its noise {noise:.3g} m/s"
+        remedy = "use a larger or longer doublet: below the static friction the cart does not move"
+        raise IdentificationError(what, f"record '{record.name}', channel 'v'", remedy)
     rising = np.flatnonzero(y[: top + 1] < 0.1 * peak)
     low = int(rising[-1]) + 1 if rising.size else 0
     high = max(low + 3, int(np.argmax(y > 0.4 * peak)))

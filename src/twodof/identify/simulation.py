@@ -47,11 +47,7 @@ def simulate(
 
 
 def initial_state(
-    structure: Structure,
-    record: Record,
-    values: Mapping[str, float] | Estimate | None = None,
-    *,
-    samples: int = 50,
+    structure: Structure, record: Record, values: Mapping[str, float] | Estimate | None = None, *, samples: int = 50
 ) -> dict[str, float]:
     """Return the initial states, by name, that reproduce the first `samples` steps of a record best, all else given.
 
@@ -300,10 +296,8 @@ def model_response(
     DiagramError where the structure cannot be linearised: at rest it sticks, or a limit begins.
     """
     if input not in structure.inputs or output not in structure.outputs:
-        raise structure.error(
-            f"no response leads from '{input:.80}' to '{output:.80}'",
-            f"inputs: {', '.join(structure.inputs)}; outputs: {', '.join(structure.outputs)}",
-        )
+        what = f"no response leads from '{input:.80}' to '{output:.80}'"
+        raise structure.error(what, f"inputs: {', '.join(structure.inputs)}; outputs: {', '.join(structure.outputs)}")
     w = np.asarray(omega, dtype=np.float64)
     chosen = estimate.places(record)
     values = {name: float(estimate.values[i]) for name, i in chosen.items()}

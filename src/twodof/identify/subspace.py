@@ -73,12 +73,7 @@ class SubspaceModel:
         return _modal(self, feed_through, name)
 
 
-def subspace(
-    record: Record,
-    *,
-    order: int | None = None,
-    feed_through: bool = False,
-) -> SubspaceModel:
+def subspace(record: Record, *, order: int | None = None, feed_through: bool = False) -> SubspaceModel:
     """Return a linear model of `record` between its inputs, taken as held, and its outputs.
 
     `order`: the number of states, by default that before the largest gap between singular values. 10 to 30 samples

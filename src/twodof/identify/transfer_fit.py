@@ -106,10 +106,7 @@ class TransferFit:
         free = f"s^{self.power} " if self.power > 0 else f"1/s^{-self.power} " if self.power < 0 else ""
         form = f"{free}{_polynomial('b', self.orders[0])} / {_polynomial('a', self.orders[1])}"
         span = f"{self.omega.size} points from {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s"
-        lines = [
-            f"{form} exp(-tau s), {span}, J = {self.cost:.3g}",
-            f"{'':12}{'estimate':>12}{'1 sigma':>11}",
-        ]
+        lines = [f"{form} exp(-tau s), {span}, J = {self.cost:.3g}", f"{'':12}{'estimate':>12}{'1 sigma':>11}"]
         lines.extend(f"{label:12}{self[label]:12.5g}{self.sigma(label):11.2g}" for label in self.labels)
         for one in self.factors[1:]:
             name = f"{one.kind}" if math.isnan(one.zeta) else f"{one.kind}s, w"
@@ -285,11 +282,8 @@ def _covariance(slope: Array, deviation: Array) -> Array:
     length = np.linalg.norm(slope, axis=0)
     unit = slope / np.where(length > 0.0, length, 1.0)
     if not np.isfinite(unit).all() or np.linalg.svd(unit, compute_uv=False)[-1] < 1e-7:
-        raise IdentificationError(
-            "the response cannot tell the coefficients apart",
-            "fit_transfer",
-            "lower the order, hold one of them, or narrow the band",
-        )
+        what = "the response cannot tell the coefficients apart"
+        raise IdentificationError(what, "fit_transfer", "lower the order, hold one of them, or narrow the band")
     bread = np.linalg.inv(unit.T @ unit)
     spread = unit * deviation[:, None]
     return np.asarray(bread @ (spread.T @ spread) @ bread / np.outer(length, length))

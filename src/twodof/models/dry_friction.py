@@ -46,10 +46,7 @@ class PitchPendulum(Block):
 
     inputs = (Port("M"),)
     outputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
-    states = (
-        State("theta", "theta_0", unit="rad", continuous=True),
-        State("q", "q_0", unit="rad/s", continuous=True),
-    )
+    states = (State("theta", "theta_0", unit="rad", continuous=True), State("q", "q_0", unit="rad/s", continuous=True))
     params = (
         Param("w_n", 3.437, unit="rad/s", low=0.0, text="natural frequency of small swings"),
         Param("xi", 0.0836, text="viscous damping ratio"),

@@ -98,11 +98,7 @@ class PitchRegressors(Block):
         parts = self._parts(u, x, p)
         (_, moment, _), (high, band, low) = parts["M_second"], parts["q_second"]
         w = p.omega
-        return {
-            "y": high,
-            "phi": vector([moment / w, -band / w, -low / (w * w)]),
-            "settled": x.steps >= p.wait,
-        }
+        return {"y": high, "phi": vector([moment / w, -band / w, -low / (w * w)]), "settled": x.steps >= p.wait}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         found: dict[str, Any] = {"steps": minimum(x.steps + 1, p.wait), "rotor": self._moment(u, x, p)[1]}

@@ -105,11 +105,8 @@ def thrust_curve(mu_idle: float, mu_run: float, moment: float = 0.1, thrust: flo
     below = 2.0 - 4.0 * thrust - ratio * (1.0 - moment)
     share = (2.0 - ratio) / below if below != 0.0 else math.nan
     if not 0.0 <= share <= 1.0:
-        raise ParameterError(
-            f"no thrust curve has mu {mu_idle:g} with the rotors off and {mu_run:g} at T = {thrust:g}",
-            "thrust_curve",
-            "identify both gains again",
-        )
+        what = f"no thrust curve has mu {mu_idle:g} with the rotors off and {mu_run:g} at T = {thrust:g}"
+        raise ParameterError(what, "thrust_curve", "identify both gains again")
     return share
 
 

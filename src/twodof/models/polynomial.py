@@ -160,14 +160,7 @@ def oe(nb: Order, nf: Order, nk: Order = 1, *, inputs: Sequence[str] = ("u",), o
 
 
 def bj(
-    nb: Order,
-    nc: int,
-    nd: int,
-    nf: Order,
-    nk: Order = 1,
-    *,
-    inputs: Sequence[str] = ("u",),
-    output: str = "y",
+    nb: Order, nc: int, nd: int, nf: Order, nk: Order = 1, *, inputs: Sequence[str] = ("u",), output: str = "y"
 ) -> PolynomialModel:
     """Return y = B / F u + C / D e, Box-Jenkins: noise with dynamics of its own. Raises IdentificationError."""
     n = len(inputs)

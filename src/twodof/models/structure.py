@@ -22,11 +22,9 @@ Array = NDArray[np.float64]
 def check_structure(one: object) -> None:
     """Raise IdentificationError unless `one` is a Structure."""
     if not isinstance(one, Structure):
-        raise IdentificationError(
-            f"a {type(one).__name__} is not a structure",
-            f"{getattr(one, '__name__', one)!s:.80}",
-            "give a twodof.models.Structure; the ready-made ones are functions, to be called: pitch_rate()",
-        )
+        what = f"a {type(one).__name__} is not a structure"
+        remedy = "give a twodof.models.Structure; the ready-made ones are functions, to be called: pitch_rate()"
+        raise IdentificationError(what, f"{getattr(one, '__name__', one)!s:.80}", remedy)
 
 
 @dataclass(frozen=True)
@@ -228,11 +226,8 @@ def linear_model(
     a, b, c, feed = (getattr(one, "tolist", lambda one=one: one)() for one in (a, b, c, zero if d is None else d))
     n, m, p = _length(a), len(inputs), len(outputs)
     if not (1 <= n <= MAX_STATES and m and p):
-        raise IdentificationError(
-            f"the model has {n} states, {m} inputs, {p} outputs",
-            where,
-            f"give 1 to {MAX_STATES} states, an input and an output",
-        )
+        what = f"the model has {n} states, {m} inputs, {p} outputs"
+        raise IdentificationError(what, where, f"give 1 to {MAX_STATES} states, an input and an output")
     for key, matrix, rows, columns in (("a", a, n, n), ("b", b, n, m), ("c", c, p, n), ("d", feed, p, m)):
         if _length(matrix) != rows or any(_length(row) != columns for row in matrix):
             raise IdentificationError(f"`{key}` is not {rows} rows of {columns}", where, "check the matrices")
@@ -257,11 +252,8 @@ def linear_model(
         raise IdentificationError(f"'{twice[0]}' names two unknowns", where, "give the one in a matrix another name")
     for one in dict.fromkeys([*unknowns, *guess, *(bounds or {})]):
         if one not in unknowns or not is_number(guess.get(one)):
-            raise IdentificationError(
-                f"'{one}' has no first guess" if one in unknowns else f"no element of a matrix is called '{one}'",
-                where,
-                f"give `guess` finite numbers for: {', '.join(unknowns) or 'none'}",
-            )
+            what = f"'{one}' has no first guess" if one in unknowns else f"no element of a matrix is called '{one}'"
+            raise IdentificationError(what, where, f"give `guess` finite numbers for: {', '.join(unknowns) or 'none'}")
     limits = {one: (0.0 if one in late.values() else -math.inf, math.inf) for one in unknowns} | dict(bounds or {})
     params = [
         Param(one, float(guess[one]), unit="s" if one in late.values() else "", low=low, high=high)

@@ -270,12 +270,7 @@ def _with_outputs(
 
 
 def _offer(
-    diagram: Diagram,
-    name: str,
-    value: float,
-    unit: str,
-    text: str,
-    bounds: tuple[float, float] = (-math.inf, math.inf),
+    diagram: Diagram, name: str, value: float, unit: str, text: str, bounds: tuple[float, float] = (-math.inf, math.inf)
 ) -> str:
     low, high = _BOUNDS.get(name, bounds)
     return diagram.param(name, value, unit=unit, low=low, high=high, text=text)

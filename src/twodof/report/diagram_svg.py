@@ -16,16 +16,7 @@ from twodof.drawing.layered_layout import Box, GraphLayout, Net, layout
 from twodof.drawing.text_width import shortened, text_width
 from twodof.drawing.wire_channels import Segment
 from twodof.errors import DiagramError
-from twodof.report.symbols import (
-    TERMINAL,
-    BlockSymbol,
-    SymbolText,
-    arrow,
-    input_names,
-    symbol,
-    terminal,
-    wire_class,
-)
+from twodof.report.symbols import TERMINAL, BlockSymbol, SymbolText, arrow, input_names, symbol, terminal, wire_class
 
 MAX_PARTS = 5000  # in one picture
 HEADER = 26.0  # above what an opened sub-diagram shows

@@ -238,11 +238,4 @@ class Dynamics(Block):
         coupling = p.offset_mass * cosine
         kick_q = (coupling * p.per_inertia) * (speed - where(q == 0.0, slid, x.v))
         kick_v = (coupling * p.per_mass) * (q - where(speed == 0.0, turned, x.q))
-        return {
-            "theta": theta,
-            "q": q - kick_q,
-            "x": place,
-            "v": speed - kick_v,
-            "sine": sine,
-            "cosine": cosine,
-        }
+        return {"theta": theta, "q": q - kick_q, "x": place, "v": speed - kick_v, "sine": sine, "cosine": cosine}

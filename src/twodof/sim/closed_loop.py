@@ -67,11 +67,8 @@ class InitialState:
         """Raise ExperimentError unless the start is within the stops [rad, m]."""
         for name, bound in (("theta", pitch_stop), ("x", rail_stop)):
             if not abs(getattr(self, name)) <= bound:
-                raise ExperimentError(
-                    f"{name} = {getattr(self, name):g} is beyond the stop at {bound:g}",
-                    "start",
-                    "start between the stops",
-                )
+                what = f"{name} = {getattr(self, name):g} is beyond the stop at {bound:g}"
+                raise ExperimentError(what, "start", "start between the stops")
 
     def rig_parameters(self) -> dict[str, float]:
         """Return the parameters of the rig to set before its reset, by name."""
@@ -189,10 +186,7 @@ def loop_values(rig: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def closed_loop(
-    gains: Gains = DEFAULT,
-    position_filter: str = "joint",
-    controllers: Iterable[Diagram] = (),
-    failsafe: bool = False,
+    gains: Gains = DEFAULT, position_filter: str = "joint", controllers: Iterable[Diagram] = (), failsafe: bool = False
 ) -> Diagram:
     """Return the diagram of the rig with the flight code, for a base tick of 1 ms.
 

@@ -253,11 +253,8 @@ def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
     first = int(np.ceil((t0 - origin) / period))
     last = int(np.floor((t1 - origin) / period))
     if last - first > MAX_STEPS:
-        raise LogError(
-            f"{last - first} control steps from {t0:g} to {t1:g} s are too many",
-            log.source,
-            f"give a window of at most {MAX_STEPS * PERIOD:g} s",
-        )
+        what = f"{last - first} control steps from {t0:g} to {t1:g} s are too many"
+        raise LogError(what, log.source, f"give a window of at most {MAX_STEPS * PERIOD:g} s")
     return np.asarray(origin + period * np.arange(first, last + 1), dtype=np.float64)
 
 

@@ -40,10 +40,7 @@ _BROKEN_AT = MappingProxyType({"rate": "q", "attitude": "theta", "velocity": "v"
 
 
 def cascade_loop(
-    loop: str,
-    gains: Gains = DEFAULT,
-    controllers: Iterable[Diagram] = (),
-    rig: str | Mapping[str, float] = "lab",
+    loop: str, gains: Gains = DEFAULT, controllers: Iterable[Diagram] = (), rig: str | Mapping[str, float] = "lab"
 ) -> LoopTransfer:
     """Return the loop transfer L of one of `LOOPS`, sampled at 250 Hz: the loops inside closed, those outside open.
 

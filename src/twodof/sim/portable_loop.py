@@ -21,16 +21,7 @@ from twodof.parameters import TUNABLES
 from twodof.rig.parameters import NAMES, TABLE, load_rig
 from twodof.rig.rig import BASE_DT
 from twodof.signals import MODES, PERIOD
-from twodof.sim.closed_loop import (
-    CASCADE,
-    FLIGHT,
-    SETPOINTS,
-    TICKS,
-    ClosedLoop,
-    InitialState,
-    closed_loop,
-    loop_values,
-)
+from twodof.sim.closed_loop import CASCADE, FLIGHT, SETPOINTS, TICKS, ClosedLoop, InitialState, closed_loop, loop_values
 
 MOST_LOGGED = 600
 """Most numbers inside the diagram that the module returns at each tick; outer signals are chosen first."""

@@ -125,12 +125,7 @@ def _result(paired: AlignedLog, precision: str, replayed: dict[str, Floats], com
     return Replay(nrms, coverage, windows, precision, paired.time, replayed, compared)
 
 
-_TERMS = (
-    "rate.proportional",
-    "rate.derivative",
-    "rate.increment",
-    "velocity.force",
-)
+_TERMS = ("rate.proportional", "rate.derivative", "rate.increment", "velocity.force")
 
 
 def _plan(active: Flags, lost: Flags, in_reset: Flags) -> tuple[list[int], Flags]:

@@ -37,11 +37,8 @@ def identified_rig(model: Mapping[str, float], base: str | Mapping[str, float] =
     """
     given = {name: float(model[name]) for name in _USED if name in model}
     if not given.keys() & set(MODEL):
-        raise ParameterError(
-            f"a rig needs one of {', '.join(MODEL)}, and the model has only {listed(model)}",
-            "rig",
-            "identify with --model pitch-rate or --model velocity",
-        )
+        what = f"a rig needs one of {', '.join(MODEL)}, and the model has only {listed(model)}"
+        raise ParameterError(what, "rig", "identify with --model pitch-rate or --model velocity")
     values = dict(load_rig(base).snapshot() if isinstance(base, str) else base)
     rig = {name: float(value) for name, value in values.items()}
     wanted = model_parameters(rig) | given
@@ -252,10 +249,7 @@ def _polarised(runs: Sequence[tuple[float, float]], time: float) -> float:
 
 
 def resimulate(
-    log: FlightLog,
-    rig: ParameterSet | None = None,
-    gains: Gains = DEFAULT,
-    window: tuple[float, float] | None = None,
+    log: FlightLog, rig: ParameterSet | None = None, gains: Gains = DEFAULT, window: tuple[float, float] | None = None
 ) -> ResimulationFit:
     """Fly the logged set-points in closed loop on the noise-free `rig` (None: `lab`) from the logged initial state.
 

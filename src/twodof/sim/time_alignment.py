@@ -116,9 +116,6 @@ def _stale(channel: Channel, index: NDArray[np.intp], age: Floats) -> Flags:
 def _filled(log: FlightLog, name: str) -> Channel:
     channel = log[name]
     if len(channel) < 2 or channel.value.ndim != 1:
-        raise LogError(
-            "the channel is not a scalar, or has fewer than two samples",
-            f"{log.source}: {name}",
-            "give the log of a flight",
-        )
+        what = "the channel is not a scalar, or has fewer than two samples"
+        raise LogError(what, f"{log.source}: {name}", "give the log of a flight")
     return channel

@@ -164,12 +164,7 @@ REFUSED: dict[str, tuple[dict[str, str], str, Any, str]] = {
     "an unknown overflow": ({"a": "int32"}, "int8", lambda u: to_int8(u.a, overflow="clip"), r"clip.*wrap, saturate"),
     "a large literal": ({"a": "uint8"}, "uint8", lambda u: where(u.a < 3, u.a, 256), r"256.*uint8.*0 to 255"),
     "a sum in an int8": ({"a": "int8"}, "int8", lambda u: u.a + 1, r"given a int32.*to_int8\(x, overflow"),
-    "a number of numpy": (
-        {"a": "float32"},
-        "float32",
-        lambda u: u.a * np.float64(0.1),
-        r"0\.1.*meets float32",
-    ),
+    "a number of numpy": ({"a": "float32"}, "float32", lambda u: u.a * np.float64(0.1), r"0\.1.*meets float32"),
 }
 
 

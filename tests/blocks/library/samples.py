@@ -97,10 +97,7 @@ EXTRA: dict[str, list[Config]] = {
     "index": [{"width": 5, "kind": "bool"}],
     "integrator": [{"initial": [0.1, 0.2], "limits": [-0.05, 0.05], "width": 2}],
     "lead_lag": [{"gain": 0.5, "lead": 0.03, "lag": 0.2, "initial": 1.0}],
-    "logic": [
-        *({"operation": o, "inputs": 3} for o in ("or", "xor", "nand", "nor")),
-        {"operation": "not", "width": 2},
-    ],
+    "logic": [*({"operation": o, "inputs": 3} for o in ("or", "xor", "nand", "nor")), {"operation": "not", "width": 2}],
     "lookup": [
         {"breakpoints": [-1.0, -0.3, 0.1, 0.9, 2.0], "values": [3.0, 1.0, -2.0, 0.5, 0.7], "outside": o}
         for o in ("clip", "extrapolate")

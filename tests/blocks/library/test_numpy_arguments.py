@@ -102,10 +102,7 @@ def test_what_is_no_number_is_refused_with_the_block_and_the_argument(type_name:
             lambda: Gain(gain=2.0),
             "Gain: it got an unexpected keyword argument 'gain' (its arguments: k, width, gain_unit, input_unit, unit)",
         ),
-        (
-            lambda: Gain(np.ones(2)),
-            "Gain.k: it takes real, not [1.0, 1.0] of type list (convert it, as in to_real(x))",
-        ),
+        (lambda: Gain(np.ones(2)), "Gain.k: it takes real, not [1.0, 1.0] of type list (convert it, as in to_real(x))"),
     ],
 )
 def test_an_argument_that_does_not_fit_is_refused_in_words(make: Callable[[], Block], text: str) -> None:

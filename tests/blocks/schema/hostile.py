@@ -284,10 +284,7 @@ def endless(share: int) -> dict[str, tuple[bytes, str]]:
         "eight loops of 100": (loops([100] * 8), "a step of more than 1000000 operations"),
         "20,000 variables of no loop": (many_variables(20_000 // share), "outside its loop"),
         "5,000 stores into 10^6 values": (stores(5000 // share, 10**6), "operations"),
-        "1,000 outputs of 40,000 nodes": (
-            shared_outputs(1000 // share, 40_000 // share),
-            "more than 50000 operations",
-        ),
+        "1,000 outputs of 40,000 nodes": (shared_outputs(1000 // share, 40_000 // share), "more than 50000 operations"),
         "500 edges inside a step": (many_edges(500), "a step of more than 1000000 operations"),
         "200,000 nodes": (doubling(200_000 if share == 1 else 55_000), "more than 50000"),
     }

@@ -110,10 +110,7 @@ TEST = '[[test]]\nname = "t"\nduration = 1.0\n'
         (TEST + "inputs.u = { step = nan }\n", "test 1 .t., u, step: nan is not a finite number"),
         (TEST + "inputs.u = { points = [[0.0, 1.0]] }\n", "u, between: it is missing"),
         (TEST + 'inputs.u = { points = [[0, "x"]], between = "hold" }\n', "u, points.1.2: Input .*given: 'x'"),
-        (
-            TEST + 'inputs.u = { points = [[0, 1]], csv = "data/in.csv", between = "hold" }\n',
-            "u, csv: unknown key",
-        ),
+        (TEST + 'inputs.u = { points = [[0, 1]], csv = "data/in.csv", between = "hold" }\n', "u, csv: unknown key"),
         (TEST + 'inputs.u = { points = [[0.1, 1.0], [0.0, 2.0]], between = "hold" }\n', "do not increase"),
         (
             TEST + 'inputs.u = { csv = "data/in.csv", column = [], between = "hold" }\n',

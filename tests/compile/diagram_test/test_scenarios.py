@@ -109,12 +109,7 @@ def test_a_table_feeds_inputs_and_expects_outputs() -> None:
     exact = Scenario("table", table=ExpectedTable(table_of(columns), absolute=0.0, relative=1e-15))
     assert run_scenario(lag(), exact, DT).passed
     wrong = {**columns, "y": [*columns["y"][:30], columns["y"][30] + 0.003, *columns["y"][31:]]}
-    for relative, absolute, passes in (
-        (0.0, 0.002, False),
-        (0.0, 0.0031, True),
-        (0.2, 0.0, True),
-        (0.1, 0.0, False),
-    ):
+    for relative, absolute, passes in ((0.0, 0.002, False), (0.0, 0.0031, True), (0.2, 0.0, True), (0.1, 0.0, False)):
         table = ExpectedTable(table_of(wrong), absolute=absolute, relative=relative)
         found = run_scenario(lag(), Scenario("table", table=table), DT)
         assert found.passed == passes

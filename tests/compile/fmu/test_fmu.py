@@ -163,11 +163,7 @@ def test_a_value_beyond_its_bounds_is_refused_with_a_message(tmp_path: Path) -> 
         assert one.get("k") == 2.0
         with pytest.raises(Exception, match="fmi3SetFloat64"):
             one.set("theta", 0.1)
-    assert one.messages == [
-        "k: 10.5 is not within 0 and 10",
-        "k: nan is not within 0 and 10",
-        "theta cannot be set",
-    ]
+    assert one.messages == ["k: 10.5 is not within 0 and 10", "k: nan is not within 0 and 10", "theta cannot be set"]
 
 
 def test_only_members_of_an_enumeration_are_accepted(tmp_path: Path) -> None:

@@ -61,14 +61,7 @@ PLANTS: dict[str, tuple[Structure, dict[str, float], Any, Any, Any, Any]] = {
         np.eye(4),
         np.zeros((4, 1)),
     ),
-    "free_response": (
-        free_response(),
-        hanging(),
-        [[0, 1], [SOFT, -2 * XI * W]],
-        [[0], [130.0]],
-        np.eye(2),
-        [[0], [0]],
-    ),
+    "free_response": (free_response(), hanging(), [[0, 1], [SOFT, -2 * XI * W]], [[0], [130.0]], np.eye(2), [[0], [0]]),
     "longitudinal": (
         longitudinal(),
         {"tau": 0.01},

@@ -10,14 +10,7 @@ import pytest
 
 from tests.compile import examples
 from twodof.blocks import Block, Diagram
-from twodof.blocks.library import (
-    CompareToConstant,
-    DataStore,
-    FirstOrder,
-    Gain,
-    StoreRead,
-    StoreWrite,
-)
+from twodof.blocks.library import CompareToConstant, DataStore, FirstOrder, Gain, StoreRead, StoreWrite
 from twodof.blocks.reference import Reference
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
@@ -84,16 +77,8 @@ def enabled_in_enabled(values: dict[str, Any]) -> Callable[[Diagram], None]:
 
 REFUSED = [
     (stores(), "cell.u", r"the input u is not connected \(connect it, or add StoreWrite\(\"cell\"\)\)"),
-    (
-        stores(StoreRead("elsewhere"), wired=True),
-        "part0.u",
-        "no data store 'elsewhere' here or in a diagram around it",
-    ),
-    (
-        stores(StoreWrite("elsewhere"), wired=True),
-        "part0",
-        "no data store 'elsewhere' here or in a diagram around it",
-    ),
+    (stores(StoreRead("elsewhere"), wired=True), "part0.u", "no data store 'elsewhere' here or in a diagram around it"),
+    (stores(StoreWrite("elsewhere"), wired=True), "part0", "no data store 'elsewhere' here or in a diagram around it"),
     (stores(StoreWrite("cell"), StoreWrite("cell")), "part1", "sub.cell is written by sub.part0 too"),
     (stores(StoreWrite("cell"), wired=True), "part0", "sub.cell is written by u too"),
     (stores(StoreWrite("cell"), kind="int32"), "cell.u", "it takes int32 and sub.part0.y"),

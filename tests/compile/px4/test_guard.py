@@ -216,9 +216,7 @@ def test_an_attitude_that_stays_away_is_told_and_px4_is_asked_to_disarm(bench: B
 
 
 @pytest.mark.long
-def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(
-    benches: Callable[[str], Bench],
-) -> None:
+def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(benches: Callable[[str], Bench]) -> None:
     bench = benches("overflow")
     bench.command("start")
     mode(bench)

@@ -11,13 +11,7 @@ import pytest
 
 from tests.compile.differential import same
 from tests.compile.px4.build import Bench
-from tests.compile.px4.flown import (
-    REFUSED,
-    SQRT2,
-    fly,
-    mode,
-    replayed,
-)
+from tests.compile.px4.flown import REFUSED, SQRT2, fly, mode, replayed
 from tests.compile.px4.modules import PITCH_LOG, pitch
 
 

@@ -10,17 +10,7 @@ import pytest
 
 from tests.compile.differential import same
 from tests.compile.px4.build import Bench
-from tests.compile.px4.flown import (
-    NOT_FINITE,
-    PERIOD,
-    SQRT2,
-    STALE,
-    fly,
-    measure,
-    mode,
-    quaternion,
-    replayed,
-)
+from tests.compile.px4.flown import NOT_FINITE, PERIOD, SQRT2, STALE, fly, measure, mode, quaternion, replayed
 from tests.compile.px4.modules import both, rail
 
 pytestmark = pytest.mark.slow
@@ -70,9 +60,7 @@ def test_a_controller_of_attitude_alone_commands_nothing_in_acro(benches: Callab
     assert list(rows["active"]) == [True] * 4 + [False] * 4 + [True] * 4
 
 
-def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(
-    benches: Callable[[str], Bench],
-) -> None:
+def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(benches: Callable[[str], Bench]) -> None:
     bench = benches("rail")
     bench.command("start")
     yaw = 0.4
@@ -141,9 +129,7 @@ def test_position_and_attitude_in_one_module(benches: Callable[[str], Bench]) ->
 
 
 @pytest.mark.long
-def test_a_motor_module_commands_the_four_motors_and_stops_them_by_nan(
-    benches: Callable[[str], Bench],
-) -> None:
+def test_a_motor_module_commands_the_four_motors_and_stops_them_by_nan(benches: Callable[[str], Bench]) -> None:
     bench = benches("mixer")
     bench.command("start")
     for armed in (False, True):

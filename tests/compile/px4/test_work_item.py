@@ -11,16 +11,7 @@ import pytest
 
 from tests.compile.differential import same
 from tests.compile.px4.build import Bench
-from tests.compile.px4.flown import (
-    NO_SETPOINT,
-    PERIOD,
-    SQRT2,
-    STALE,
-    fly,
-    mode,
-    quaternion,
-    replayed,
-)
+from tests.compile.px4.flown import NO_SETPOINT, PERIOD, SQRT2, STALE, fly, mode, quaternion, replayed
 from tests.compile.px4.host import from_words, to_words
 from tests.compile.px4.modules import PITCH_LOG, pitch
 from twodof.compile import build

@@ -88,12 +88,7 @@ class Desk:
         vehicle.refuse = self._refuse
         self.excite = ExcitationService(vehicle)
         answer = TelemetryEncoders(self.controller, self.commander).rig
-        self.services = [
-            LeaseService(vehicle),
-            SetpointService(vehicle),
-            self.excite,
-            LockstepService(vehicle, answer),
-        ]
+        self.services = [LeaseService(vehicle), SetpointService(vehicle), self.excite, LockstepService(vehicle, answer)]
         self.controller.bus.subscribe(TimeRestarted, lambda _: [one.restart() for one in self.services])
         self.sequence = 0
 

@@ -28,10 +28,7 @@ def world_of(folder: Path) -> tuple[World, OnboardLogger]:
     world = World(lockstep=True)
     log = OnboardLogger(folder, world.store, lockstep=True)
     # Before those that take what they know: it is to hear every frame.
-    world.services.insert(
-        1,
-        LogStreamService(world.px4.vehicle, world.px4.commands, log),
-    )
+    world.services.insert(1, LogStreamService(world.px4.vehicle, world.px4.commands, log))
     return world, log
 
 

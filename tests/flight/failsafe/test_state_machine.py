@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.flight.failsafe.expr_arrays import (
-    combinations,
-    flags,
-    graph_of,
-    mutants,
-    mutants_on_arrays,
-    on_arrays,
-    tell,
-)
+from tests.flight.failsafe.expr_arrays import combinations, flags, graph_of, mutants, mutants_on_arrays, on_arrays, tell
 from tests.flight.failsafe.machine_space import (
     COLUMNS,
     FLAGS,

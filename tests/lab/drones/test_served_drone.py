@@ -101,9 +101,7 @@ def test_undo_takes_back_the_judged_change_only() -> None:
 
 
 @pytest.mark.long
-def test_rows_have_the_drones_bits(
-    drone: tuple[Served, OnBoard],
-) -> None:
+def test_rows_have_the_drones_bits(drone: tuple[Served, OnBoard]) -> None:
     server, there = drone
     columns = ["estimate.theta", "imu.gyro_y", "truth.theta", "command.M"]
     with server.socket() as client:

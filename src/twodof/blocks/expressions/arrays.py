@@ -106,10 +106,8 @@ def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]
     with during(LOOPS, (*LOOPS.get(), length)):
         results = tuple(step(index, *carried))
     if len(results) != len(starts):
-        raise fault(
-            f"the body of fold returns {len(results)} values and takes {len(starts)}",
-            "return one value for each initial value",
-        )
+        what = f"the body of fold returns {len(results)} values and takes {len(starts)}"
+        raise fault(what, "return one value for each initial value")
     bodies = tuple(as_expr(r, s.kind) for r, s in zip(results, starts, strict=True))
     scalars("fold", *bodies)
     # One node an output; all share (starts, bodies), so a compiler can emit them as one loop.
@@ -295,10 +293,8 @@ def product(a: Any, b: Any) -> Any:
     left, right = _operand(a), _operand(b)
     first, second = shape_of(left), shape_of(right)
     if not first or not second or first[-1] != second[0]:
-        raise fault(
-            f"{shape_text(first)} @ {shape_text(second)} is not possible",
-            "give the first as many columns as the second has rows; with a scalar, write *",
-        )
+        what = f"{shape_text(first)} @ {shape_text(second)} is not possible"
+        raise fault(what, "give the first as many columns as the second has rows; with a scalar, write *")
     rows, inner, columns = (first[0] if len(first) == 2 else 1), second[0], (second[1] if len(second) == 2 else 1)
     a_flat, b_flat = _array(flat_of(left), flat_of(right)), _array(flat_of(right), flat_of(left))
     of_left, of_right = _factor(left, a_flat, (rows, inner)), _factor(right, b_flat, (inner, columns))

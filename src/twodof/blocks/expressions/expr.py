@@ -204,8 +204,7 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
         return value
     if isinstance(value, (np.ndarray, list, tuple)):
         raise fault(
-            "a Python list or array is used as a scalar",
-            "make an array with vector([...]), or take one element",
+            "a Python list or array is used as a scalar", "make an array with vector([...]), or take one element"
         )
     # A number of numpy is a literal here: the precision that it has is not the build's.
     found = "real" if isinstance(value, np.floating) else numbers.kind_of(value)
@@ -268,8 +267,7 @@ def scalars(op: str, *args: Expr) -> None:
     for a in args:
         if a.width is not None:
             raise fault(
-                f"{op} is applied to an array of {a.width}",
-                "work on its elements, with array_of(n, lambda i: ...)",
+                f"{op} is applied to an array of {a.width}", "work on its elements, with array_of(n, lambda i: ...)"
             )
 
 

@@ -64,9 +64,7 @@ KEPT = ("vector", "build", "store", "fold", "call")
 
 
 def unchanging(
-    loop: Expr,
-    resolve: Callable[[Expr], Expr] = lambda item: item,
-    also: Callable[[Expr], bool] = lambda item: False,
+    loop: Expr, resolve: Callable[[Expr], Expr] = lambda item: item, also: Callable[[Expr], bool] = lambda item: False
 ) -> list[Expr]:
     """Return the arrays, loops and calls in a loop's bodies that are the same at each turn, without those within them.
 

@@ -266,11 +266,8 @@ class Integer(Operators):
             return int(self.computes(other).value)
         if hasattr(other, "op") or isinstance(other, ArrayOperators):
             return None
-        raise DiagramError(
-            f"{self.kind} meets {type(other).__name__} in one operation",
-            "",
-            "convert one of them by name, such as float64(x) or int32(x)",
-        )
+        what = f"{self.kind} meets {type(other).__name__} in one operation"
+        raise DiagramError(what, "", "convert one of them by name, such as float64(x) or int32(x)")
 
     @staticmethod
     def operation(op: str, *operands: Any) -> Any:

@@ -99,7 +99,6 @@ class Refusals:
     __array__ = refused("a recorded value does not fit into an array of numpy", "make an array with vector([...])")
 
     def __array_function__(self, function: Callable[..., Any], *_: Any) -> Never:
-        raise fault(
-            f"{function.__module__}.{function.__name__} does not work on recorded values".replace("numpy", "np", 1),
-            "use the functions of twodof.blocks, such as where, minimum, norm and fold, and @ for products",
-        )
+        what = f"{function.__module__}.{function.__name__} does not work on recorded values".replace("numpy", "np", 1)
+        remedy = "use the functions of twodof.blocks, such as where, minimum, norm and fold, and @ for products"
+        raise fault(what, remedy)

@@ -10,15 +10,7 @@ from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import where
 from twodof.blocks.library.discrete import LinearStateSpace, ResetRule, quotient
 
-__all__ = [
-    "FirstOrder",
-    "Integrator",
-    "ResetIntegrator",
-    "ResetLatch",
-    "SecondOrder",
-    "StateSpace",
-    "TransferFunction",
-]
+__all__ = ["FirstOrder", "Integrator", "ResetIntegrator", "ResetLatch", "SecondOrder", "StateSpace", "TransferFunction"]
 
 
 @library_block("integrator")
@@ -29,11 +21,7 @@ class Integrator(OneOutput):
     """
 
     def __init__(
-        self,
-        initial: Any = 0.0,
-        limits: Sequence[float] | None = None,
-        width: int | None = None,
-        unit: str = "",
+        self, initial: Any = 0.0, limits: Sequence[float] | None = None, width: int | None = None, unit: str = ""
     ) -> None:
         bounds = limit_params(limits, unit)
         self.limited = bool(bounds)
@@ -63,13 +51,7 @@ class ResetLatch(Block):
     connects the two.
     """
 
-    def __init__(
-        self,
-        reset: str = "level",
-        initial: Any = 0.0,
-        width: int | None = None,
-        unit: str = "",
-    ) -> None:
+    def __init__(self, reset: str = "level", initial: Any = 0.0, width: int | None = None, unit: str = "") -> None:
         self.rule = ResetRule(reset, initial, width)
         self.inputs = self.rule.inputs
         self.outputs = [Port("x0", width=width, unit=unit), Port("start", "bool")]

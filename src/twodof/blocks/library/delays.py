@@ -178,12 +178,7 @@ class FractionalDelay(_RingBuffer):
     """
 
     def __init__(
-        self,
-        delay: float = 0.0,
-        samples: int = 64,
-        initial: float = 0.0,
-        direct: bool = True,
-        unit: str = "",
+        self, delay: float = 0.0, samples: int = 64, initial: float = 0.0, direct: bool = True, unit: str = ""
     ) -> None:
         self._declare(count(samples, 1, MAX_SAMPLES, "samples"), initial, "real", None, unit)
         self.direct = direct

@@ -251,11 +251,7 @@ class LinearStateSpace(Block):
         """Declare ports, parameters and the state. Raises DiagramError for matrices that do not fit together."""
         a = matrix(A, None, None, "A")
         self.size = n = len(a)
-        parts = {
-            "A": matrix(A, n, n, "A"),
-            "B": matrix(B, n, None, "B"),
-            "C": matrix(C, None, n, "C"),
-        }
+        parts = {"A": matrix(A, n, n, "A"), "B": matrix(B, n, None, "B"), "C": matrix(C, None, n, "C")}
         self.input_count, self.output_count = len(parts["B"][0]), len(parts["C"])
         d = [] if D is None else matrix(D, self.output_count, self.input_count, "D")
         self.direct = any(map(any, d))

@@ -96,10 +96,7 @@ class RecursiveLeastSquares(Block):
         share = (p.kept - (1.0 - p.kept) / maximum(g, _SMALLEST)) / (p.kept * divisor)
         return {
             "theta": array_of(n, lambda i: where(takes, x.theta[i] + reach[i] * error / divisor, x.theta[i])),
-            "P": array_of(
-                n * n,
-                lambda k: where(takes, x.P[k] - reach[k // n] * reach[k % n] * share, x.P[k]),
-            ),
+            "P": array_of(n * n, lambda k: where(takes, x.P[k] - reach[k // n] * reach[k % n] * share, x.P[k])),
             "residual": where(takes, p.kept * x.residual + error * error / divisor, x.residual),
             "weight": where(takes, p.kept * x.weight + 1.0, x.weight),
             "error": where(takes, error, x.error),

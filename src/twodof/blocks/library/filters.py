@@ -132,11 +132,7 @@ class LeadLag(_FirstOrder):
     def __init__(
         self, gain: float = 1.0, lead: float = 0.1, lag: float = 0.01, initial: float = 0.0, unit: str = ""
     ) -> None:
-        params = [
-            Param("gain", gain),
-            Param("lead", lead, unit="s", low=0.0),
-            Param("lag", lag, unit="s", low=0.0),
-        ]
+        params = [Param("gain", gain), Param("lead", lead, unit="s", low=0.0), Param("lag", lag, unit="s", low=0.0)]
         self._declare(params, initial, unit)
 
     def prepare(self, p: Any, t: Clock) -> Any:
@@ -178,12 +174,7 @@ class Notch(_SecondOrder):
     """
 
     def __init__(
-        self,
-        frequency: float = 50.0,
-        width: float = 0.1,
-        depth: float = 0.0,
-        initial: float = 0.0,
-        unit: str = "",
+        self, frequency: float = 50.0, width: float = 0.1, depth: float = 0.0, initial: float = 0.0, unit: str = ""
     ) -> None:
         params = [
             Param("frequency", frequency, unit="Hz", low=0.0),

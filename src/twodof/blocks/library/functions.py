@@ -201,11 +201,7 @@ class FunctionBlock(Block):
     """A block without states whose outputs are what a function returns; made by `function_block`."""
 
     def __init__(
-        self,
-        function: Callable[..., Any],
-        inputs: Sequence[Port],
-        outputs: Sequence[Port],
-        params: Sequence[Param],
+        self, function: Callable[..., Any], inputs: Sequence[Port], outputs: Sequence[Port], params: Sequence[Param]
     ) -> None:
         self.function = function
         self.inputs, self.outputs, self.params = list(inputs), list(outputs), list(params)
@@ -214,11 +210,8 @@ class FunctionBlock(Block):
         result = self.function(*(u[i.name] for i in self.inputs), **{q.name: p[q.name] for q in self.params})
         if isinstance(result, tuple) and len(self.outputs) > 1:
             if len(result) != len(self.outputs):
-                raise DiagramError(
-                    f"the function returns {len(result)} values for {len(self.outputs)} outputs",
-                    type(self).__name__,
-                    "return one value for each output",
-                )
+                what = f"the function returns {len(result)} values for {len(self.outputs)} outputs"
+                raise DiagramError(what, type(self).__name__, "return one value for each output")
             return {port.name: value for port, value in zip(self.outputs, result, strict=True)}
         return result
 
@@ -266,11 +259,8 @@ def function_block(
         else:
             found_inputs.append(ports.pop(name, Port(name)))
     for name in [*ports, *tunables]:
-        raise DiagramError(
-            f"{name!r} is declared, but it is not an argument of the function",
-            label,
-            "add the argument, or delete the declaration",
-        )
+        what = f"{name!r} is declared, but it is not an argument of the function"
+        raise DiagramError(what, label, "add the argument, or delete the declaration")
     declared = [Port(port) if isinstance(port, str) else port for port in outputs]
     # The class is as much the user's as the function is.
     names = {"__doc__": function.__doc__, "__module__": getattr(function, "__module__", "__main__")}

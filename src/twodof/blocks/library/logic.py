@@ -51,12 +51,7 @@ class CompareToConstant(Pointwise):
     """y = (u operation constant), a bool; `operation` is <, <=, >, >=, == or !=."""
 
     def __init__(
-        self,
-        operation: str = ">",
-        constant: Any = 0.0,
-        kind: Kind = "real",
-        width: int | None = None,
-        unit: str = "",
+        self, operation: str = ">", constant: Any = 0.0, kind: Kind = "real", width: int | None = None, unit: str = ""
     ) -> None:
         self.operation = one_of(operation, list(COMPARISONS), "operation")
         comparable(kind, operation)

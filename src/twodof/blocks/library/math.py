@@ -85,12 +85,7 @@ class Gain(Pointwise):
     """y = k u."""
 
     def __init__(
-        self,
-        k: float = 1.0,
-        width: int | None = None,
-        gain_unit: str = "",
-        input_unit: str = "",
-        unit: str = "",
+        self, k: float = 1.0, width: int | None = None, gain_unit: str = "", input_unit: str = "", unit: str = ""
     ) -> None:
         self.ports("u", "real", width, unit, input_unit)
         self.params = [Param("k", k, unit=gain_unit)]

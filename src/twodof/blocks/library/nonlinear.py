@@ -16,12 +16,7 @@ class Saturation(Pointwise):
     """y = u within [low, high]; NaN stays NaN."""
 
     def __init__(
-        self,
-        low: float = -1.0,
-        high: float = 1.0,
-        kind: str = "real",
-        width: int | None = None,
-        unit: str = "",
+        self, low: float = -1.0, high: float = 1.0, kind: str = "real", width: int | None = None, unit: str = ""
     ) -> None:
         self.ports("u", one_of(kind, ORDERED, "kind"), width, unit)
         self.params = [Param("low", low, kind, unit=unit), Param("high", high, kind, unit=unit)]
@@ -74,12 +69,7 @@ class RateLimit(Recurrent):
     """
 
     def __init__(
-        self,
-        rising: float = 1.0,
-        falling: float = 1.0,
-        initial: Any = 0.0,
-        width: int | None = None,
-        unit: str = "",
+        self, rising: float = 1.0, falling: float = 1.0, initial: Any = 0.0, width: int | None = None, unit: str = ""
     ) -> None:
         self.ports("u", "real", width, unit)
         self.params = [

@@ -211,12 +211,7 @@ class DoubletSource(_PatternSource):
     pattern = PATTERNS["doublet"]
 
     def __init__(
-        self,
-        start: float = 0.0,
-        period: float = 0.6,
-        amplitude: float = 1.0,
-        bias: float = 0.0,
-        unit: str = "",
+        self, start: float = 0.0, period: float = 0.6, amplitude: float = 1.0, bias: float = 0.0, unit: str = ""
     ) -> None:
         self.declare(start, Param("period", period, unit="s", low=0.0), amplitude, bias, unit)
 
@@ -234,12 +229,7 @@ class ThreeTwoOneOneSource(_PatternSource):
     pattern = PATTERNS["3-2-1-1"]
 
     def __init__(
-        self,
-        start: float = 0.0,
-        step: float = 0.3,
-        amplitude: float = 1.0,
-        bias: float = 0.0,
-        unit: str = "",
+        self, start: float = 0.0, step: float = 0.3, amplitude: float = 1.0, bias: float = 0.0, unit: str = ""
     ) -> None:
         self.declare(start, Param("step", step, unit="s", low=0.0), amplitude, bias, unit)
 

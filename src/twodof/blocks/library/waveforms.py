@@ -97,11 +97,8 @@ class MultisineSource(Block):
         self.lines = count(len(lines), 1, MAX_LINES, "number of harmonics")
         sizes, turns = reals(amplitudes, "amplitudes"), reals(phases, "phases")
         if len(sizes) != self.lines or len(turns) != self.lines:
-            raise DiagramError(
-                f"{len(sizes)} amplitudes and {len(turns)} phases for {self.lines} harmonics",
-                "",
-                "give as many of each",
-            )
+            what = f"{len(sizes)} amplitudes and {len(turns)} phases for {self.lines} harmonics"
+            raise DiagramError(what, "", "give as many of each")
         self.outputs = [Port("y", unit=unit)]
         self.params = [
             Param("harmonics", lines, "uint32", self.lines, low=1, high=MAX_HARMONIC),

@@ -9,16 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 from twodof.blocks.block import Block, EnabledAgain, TriggerEdge, steady_trace
-from twodof.blocks.declarations import (
-    Param,
-    Port,
-    State,
-    check_initial,
-    located,
-    mismatch,
-    narrowed,
-    unknown_name,
-)
+from twodof.blocks.declarations import Param, Port, State, check_initial, located, mismatch, narrowed, unknown_name
 from twodof.blocks.diagram import (
     BASE,
     MAX_NESTED,
@@ -341,11 +332,9 @@ class Hierarchy:
             for name, driver in cell.drivers.items():
                 rate = BASE if isinstance(driver, str) else driver.cell.rate
                 if rate != cell.rate and driver not in constant and not cell.block.crossing:
-                    raise DiagramError(
-                        f"it runs at {tuple(cell.rate)}, and its signal {driver} at {tuple(rate)}",
-                        f"{cell.path}.{name}",
-                        "put a ZeroOrderHold or RateTransition between them",
-                    )
+                    what = f"it runs at {tuple(cell.rate)}, and its signal {driver} at {tuple(rate)}"
+                    remedy = "put a ZeroOrderHold or RateTransition between them"
+                    raise DiagramError(what, f"{cell.path}.{name}", remedy)
 
     def _continuous(self) -> Schedule:
         varying: set[PortOf | str] = set()

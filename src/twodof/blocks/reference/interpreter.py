@@ -109,11 +109,9 @@ class BlockMethod:
         for name in {**given, **expected}:
             one, other = given.get(name), expected.get(name)
             if not numbers.identical(one, other):
-                raise DiagramError(
-                    f"{self.name} gives {name!r} = {_text(one)} now, and {_text(other)} as it was traced",
-                    self._where(),
-                    HIDDEN if numbers.real_type() is np.float64 else f"{HIDDEN}; {_OWN_PRECISION}",
-                )
+                what = f"{self.name} gives {name!r} = {_text(one)} now, and {_text(other)} as it was traced"
+                remedy = HIDDEN if numbers.real_type() is np.float64 else f"{HIDDEN}; {_OWN_PRECISION}"
+                raise DiagramError(what, self._where(), remedy)
 
 
 def _text(value: Any) -> str:
@@ -133,12 +131,7 @@ class Reference:
     """
 
     def __init__(
-        self,
-        diagram: Diagram,
-        dt: float,
-        precision: str = "float64",
-        log: Iterable[str] = (),
-        integrator: str = "rk4",
+        self, diagram: Diagram, dt: float, precision: str = "float64", log: Iterable[str] = (), integrator: str = "rk4"
     ) -> None:
         tick = check_tick(dt, diagram.name)
         if integrator not in ("rk4", "euler"):

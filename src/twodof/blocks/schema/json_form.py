@@ -60,11 +60,8 @@ def from_json(text: str | bytes) -> Diagram:
     except (ValueError, RecursionError) as error:
         raise DiagramError(f"this is no JSON: {error!s:.200}", "file", "save the diagram again") from error
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise DiagramError(
-            "this is not a diagram",
-            "file",
-            f'give a file that `twodof diagram new` or to_json wrote; one has "schema": "{SCHEMA}"',
-        )
+        remedy = f'give a file that `twodof diagram new` or to_json wrote; one has "schema": "{SCHEMA}"'
+        raise DiagramError("this is not a diagram", "file", remedy)
     if data.get("version") != VERSION or type(data["version"]) is not int:
         raise DiagramError(
             f"schema version {shown(data.get('version'))} is unknown", "file", f"this twodof reads version {VERSION}"

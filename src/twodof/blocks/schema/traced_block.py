@@ -21,16 +21,7 @@ from twodof.blocks.expressions.graph import (
 from twodof.blocks.expressions.numbers import KINDS, fits
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED, MachineFunction, MachineGraph
-from twodof.blocks.trace import (
-    SECTIONS,
-    MethodGraphs,
-    Trace,
-    by_method,
-    computed_graphs,
-    leaves_of,
-    matrices,
-    roots_of,
-)
+from twodof.blocks.trace import SECTIONS, MethodGraphs, Trace, by_method, computed_graphs, leaves_of, matrices, roots_of
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_LENGTH = 1_000_000

@@ -14,17 +14,7 @@ from typing import Any
 
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import (
-    Expr,
-    as_expr,
-    maximum,
-    minimum,
-    sqrt,
-    to_int32,
-    to_real,
-    to_uint32,
-    where,
-)
+from twodof.blocks.expressions.expr import Expr, as_expr, maximum, minimum, sqrt, to_int32, to_real, to_uint32, where
 from twodof.blocks.namespaces import BusView
 from twodof.errors import DiagramError, TwodofError, nearest, shown
 

@@ -299,11 +299,9 @@ class MachineGraph:
             )
         for variable in given:
             if variable.continuous:
-                raise DiagramError(
-                    "a variable of a state machine is continuous",
-                    f"block {self._label}.{variable.name}",
-                    "integrate in another block, which the machine's outputs enable or reset",
-                )
+                what = "a variable of a state machine is continuous"
+                remedy = "integrate in another block, which the machine's outputs enable or reset"
+                raise DiagramError(what, f"block {self._label}.{variable.name}", remedy)
 
     def _call(self, function: MachineFunction) -> Any:
         m, clock, elapsed = self._machine, clock_leaves(), leaf("state", ELAPSED, "uint32")
@@ -355,21 +353,17 @@ class MachineGraph:
                 if not any(port.name in self.action(mode.name, "during") for mode in one.path)
             ]
             if port.name not in kept and without:
-                raise DiagramError(
-                    f"the output {port.name!r} is not given in {listed(without)}",
-                    f"block {self._label}",
-                    "give it in `during` there, or declare a variable of this name, which keeps it",
-                )
+                what = f"the output {port.name!r} is not given in {listed(without)}"
+                remedy = "give it in `during` there, or declare a variable of this name, which keeps it"
+                raise DiagramError(what, f"block {self._label}", remedy)
 
     def _check_enumeration(self, enumeration: Enumeration, chart: Chart) -> None:
         """Check that the members of the output `mode` are named as the modes are."""
         for one in chart.leaves:
             if enumeration.members.get(one.mode.name) != one.number:
-                raise DiagramError(
-                    f"the mode {one.mode.name!r} is number {one.number}, and {enumeration} says otherwise",
-                    f"block {self._label}",
-                    "name the members as the modes without inner ones, from 0 on in their order",
-                )
+                what = f"the mode {one.mode.name!r} is number {one.number}, and {enumeration} says otherwise"
+                remedy = "name the members as the modes without inner ones, from 0 on in their order"
+                raise DiagramError(what, f"block {self._label}", remedy)
 
     def _own_states(self, chart: Chart) -> Sequence[State]:
         """Return the states for the mode, the times that are read, and the histories."""
@@ -421,11 +415,8 @@ def check_ways(chart: Chart, graph: MachineGraph) -> None:
         for k, route in enumerate(routes):
             guard = graph.guards[route.number]
             if guard.op == "const" and not guard.data:
-                raise DiagramError(
-                    f"the transition {route.transition.text} is never taken: its guard is never true",
-                    "",
-                    "remove it, or correct its guard",
-                )
+                what = f"the transition {route.transition.text} is never taken: its guard is never true"
+                raise DiagramError(what, "", "remove it, or correct its guard")
             hiding = [r.transition.text for r in routes[:k] if _hides(r, route, graph)]
             seen.setdefault(route.number, []).extend(hiding)
             open_in[route.number] = open_in.get(route.number, 0) + (not hiding)
@@ -482,8 +473,5 @@ def _check_reached(chart: Chart) -> None:
                 stack.extend(route.leaves)
     never = [leaf.mode.name for leaf in chart.leaves if leaf not in reached]
     if never:
-        raise DiagramError(
-            f"no transition leads to {listed(never)} from {chart.leaves[0].mode.name}, where the machine starts",
-            "",
-            "add a transition to it, or remove it",
-        )
+        what = f"no transition leads to {listed(never)} from {chart.leaves[0].mode.name}, where the machine starts"
+        raise DiagramError(what, "", "add a transition to it, or remove it")

@@ -180,11 +180,8 @@ class StateMachine(Block):
         super().__init_subclass__(**kwargs)
         for name in ("states", *(method for method in SECTIONS if method != "prepare")):
             if name in cls.__dict__:
-                raise DiagramError(
-                    f"a state machine writes {name} itself",
-                    f"block {cls.__name__}",
-                    "declare variables, modes and transitions, whose functions say what it does",
-                )
+                remedy = "declare variables, modes and transitions, whose functions say what it does"
+                raise DiagramError(f"a state machine writes {name} itself", f"block {cls.__name__}", remedy)
 
     @cached_property
     def chart(self) -> Chart:

@@ -172,11 +172,9 @@ class _Emitter:
         self.apart |= len(functions) > 1
         copies = 4 + bool(struct)  # x, at, sum and slope of the integration; pieces hand x on
         if elements + handed + copies * sum(m.width or 1 for m in self.layout.x.members) > MOST_ON_STACK:
-            raise DiagramError(
-                f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
-                self.prefix,
-                "make them shorter, or keep them in states, which are not on the stack",
-            )
+            what = f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack"
+            remedy = "make them shorter, or keep them in states, which are not on the stack"
+            raise DiagramError(what, self.prefix, remedy)
         self.listing.add(struct, Mark("Work", "", "declaration"))
         for each in functions:
             self.listing.function(each, role)

@@ -6,13 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from twodof.compile.c.statements import (
-    Assign,
-    Statement,
-    every,
-    without_unread,
-    written,
-)
+from twodof.compile.c.statements import Assign, Statement, every, without_unread, written
 from twodof.compile.program.flat_program import Node
 
 COMMENTS = {

@@ -110,10 +110,7 @@ def written_out(loop: Expr, own: Callable[[Expr], Expr]) -> Expr:
 
 
 def _round(
-    bodies: Sequence[Expr],
-    turning: Sequence[Expr],
-    values: Mapping[tuple[int, int], Expr],
-    own: Callable[[Expr], Expr],
+    bodies: Sequence[Expr], turning: Sequence[Expr], values: Mapping[tuple[int, int], Expr], own: Callable[[Expr], Expr]
 ) -> list[Expr]:
     """Return a loop's bodies with these values of its variables; only the nodes `turning` depend on them."""
     made: dict[int, Expr] = {}

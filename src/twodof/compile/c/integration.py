@@ -38,10 +38,7 @@ class Method(NamedTuple):
     share: float
 
 
-METHODS = {
-    "euler": Method((0.0,), (1.0,), 1.0),
-    "rk4": Method((0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2.0, 1.0), 1 / 6),
-}
+METHODS = {"euler": Method((0.0,), (1.0,), 1.0), "rk4": Method((0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2.0, 1.0), 1 / 6)}
 
 
 class Integration:

@@ -17,13 +17,7 @@ from twodof.compile.c.expressions import Renderer
 from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.schedule import changed, commit
 from twodof.compile.c.scope import Scope
-from twodof.compile.c.statements import (
-    Call,
-    IfStatement,
-    LoopStatement,
-    Statement,
-    Text,
-)
+from twodof.compile.c.statements import Call, IfStatement, LoopStatement, Statement, Text
 from twodof.compile.program.flat_program import Node
 
 

@@ -19,11 +19,7 @@ class CInterface:
     """
 
     def __init__(
-        self,
-        program: FlatProgram,
-        layout: MemoryLayout,
-        tables: bool,
-        types: Mapping[str, str] = C_TYPES,
+        self, program: FlatProgram, layout: MemoryLayout, tables: bool, types: Mapping[str, str] = C_TYPES
     ) -> None:
         self.program = program
         self.layout = layout

@@ -56,11 +56,8 @@ def find_emulator() -> str:
     """Return the path of QEMU. Raises CompileError, with the name of its package, if it is missing."""
     path = shutil.which(EMULATOR)
     if path is None:
-        raise CompileError(
-            f"{EMULATOR}, which emulates the Cortex-M7, was not found",
-            "",
-            "install QEMU for Arm systems (Debian: apt-get install qemu-system-arm)",
-        )
+        what = f"{EMULATOR}, which emulates the Cortex-M7, was not found"
+        raise CompileError(what, "", "install QEMU for Arm systems (Debian: apt-get install qemu-system-arm)")
     return path
 
 
@@ -86,11 +83,7 @@ class Board:
             command += ["-semihosting-config", "enable=on,target=native", *(_COUNTING if counting else ())]
             with self._said.open("wb") as said:
                 self._process = subprocess.Popen(
-                    [*command, "-kernel", "image.elf"],
-                    cwd=folder,
-                    stdin=subprocess.DEVNULL,
-                    stdout=said,
-                    stderr=said,
+                    [*command, "-kernel", "image.elf"], cwd=folder, stdin=subprocess.DEVNULL, stdout=said, stderr=said
                 )
             processes.append(self._process)
         except OSError as error:

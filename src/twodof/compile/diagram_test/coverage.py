@@ -70,11 +70,7 @@ class Coverage:
 
 
 def measure_coverage(
-    diagram: Diagram,
-    scenarios: Sequence[Scenario],
-    dt: float = DT,
-    precision: str = "float64",
-    integrator: str = "rk4",
+    diagram: Diagram, scenarios: Sequence[Scenario], dt: float = DT, precision: str = "float64", integrator: str = "rk4"
 ) -> Coverage:
     """Run the scenarios on the reference, at the base tick `dt` [s], and return the sides that they take.
 

@@ -118,11 +118,7 @@ class Fmu:
 
 
 def make_fmu(
-    diagram: Diagram,
-    dt: float,
-    precision: str = "float64",
-    version: str = "3.0",
-    log: Iterable[str] = (),
+    diagram: Diagram, dt: float, precision: str = "float64", version: str = "3.0", log: Iterable[str] = ()
 ) -> Fmu:
     """Return the FMU of `diagram` for FMI `version`, "3.0" or "2.0"; the other arguments are those of `build`.
 

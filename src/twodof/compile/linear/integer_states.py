@@ -127,11 +127,9 @@ class IntegerStates:
             if _same(plain(step.evaluate(node, [e])[0]), self.point.states[node, name]):
                 continue
             if self._indexes(node, [name]):
-                raise DiagramError(
-                    "`at` holds this write index of a buffer, so written samples would never be read",
-                    f"{node.path}.{name}",
-                    "leave it out of `at`: the model follows an index that wraps",
-                )
+                what = "`at` holds this write index of a buffer, so written samples would never be read"
+                remedy = "leave it out of `at`: the model follows an index that wraps"
+                raise DiagramError(what, f"{node.path}.{name}", remedy)
             notes[f"{node.path}.{name}"] = "held by `at`; it would move otherwise"
         return notes
 
@@ -200,11 +198,8 @@ class IntegerStates:
             elif n <= ALL_PHASES:
                 found |= set(range(1, n))
             else:
-                raise DiagramError(
-                    f"its integer or bool states {', '.join(cycle.moving)} repeat after {n} periods only",
-                    node.path,
-                    "hold them with `at`, or linearize around this block",
-                )
+                what = f"its integer or bool states {', '.join(cycle.moving)} repeat after {n} periods only"
+                raise DiagramError(what, node.path, "hold them with `at`, or linearize around this block")
         return sorted(found - {0})
 
     @contextmanager

@@ -79,10 +79,7 @@ def linearize(
 
 
 def _signals(
-    program: FlatProgram,
-    names: Sequence[str] | None,
-    ports: Mapping[str, FlatSignal],
-    usual: Mapping[str, FlatSignal],
+    program: FlatProgram, names: Sequence[str] | None, ports: Mapping[str, FlatSignal], usual: Mapping[str, FlatSignal]
 ) -> dict[str, FlatSignal]:
     """Return the signals of these names, ports or paths; without names the real ones of the `usual`."""
     if names is None:
@@ -255,11 +252,8 @@ class _Linearization(Slopes):
 def _refuse_triggers(program: FlatProgram) -> None:
     for condition in {c for node in program.nodes for c in node.conditions}:
         if condition.trigger is not None:
-            raise DiagramError(
-                "it acts only at the edges of a trigger, which has no linear model",
-                condition.path,
-                "linearize the sub-diagram by itself, or the diagram without it",
-            )
+            what = "it acts only at the edges of a trigger, which has no linear model"
+            raise DiagramError(what, condition.path, "linearize the sub-diagram by itself, or the diagram without it")
 
 
 def _idle(
@@ -332,11 +326,9 @@ def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -
         try:
             found = slopes.matrices("slope" if continuous else "next", strict=False)
         except DiagramError as error:
-            raise DiagramError(
-                f"the search for an equilibrium reached a point where {error.what}",
-                error.where,
-                "start nearer to one with `at`, or cut a signal of this block as an input",
-            ) from error
+            what = f"the search for an equilibrium reached a point where {error.what}"
+            remedy = "start nearer to one with `at`, or cut a signal of this block as an input"
+            raise DiagramError(what, error.where, remedy) from error
         if continuous:
             return found.value, found.change[:, columns]
         stay = np.eye(size, slopes.seeds)

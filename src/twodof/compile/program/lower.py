@@ -121,9 +121,7 @@ def _live(nodes: Sequence[Node], always: Iterable[FlatSignal]) -> set[FlatSignal
 
 
 def _grouped(
-    signals: Sequence[FlatSignal],
-    nodes: Sequence[Node],
-    before_it: Callable[[FlatSignal], list[FlatSignal]],
+    signals: Sequence[FlatSignal], nodes: Sequence[Node], before_it: Callable[[FlatSignal], list[FlatSignal]]
 ) -> list[Group]:
     """Sort `signals` into groups of one guard, as actions; the states of `nodes` are reset before their outputs."""
     chosen = set(signals)

@@ -168,11 +168,9 @@ def controller(diagram: Diagram, names: ModuleNames, log: Sequence[str]) -> Cont
     arrays = 4 * sum(int(width) for width in _LOCAL_ARRAY.findall(emitted.source))
     stack = -(-(arrays + 600) // 100) * 100  # 600: what steps of hundreds of blocks without arrays need on the M7
     if stack > LARGEST_FRAME:
-        raise DiagramError(
-            f"its local arrays need {arrays} bytes of stack; PX4's work queue has room for {LARGEST_FRAME - 600}",
-            diagram.name,
-            "make the arrays shorter, or keep them in states, which are not on the stack",
-        )
+        what = f"its local arrays need {arrays} bytes of stack; PX4's work queue has room for {LARGEST_FRAME - 600}"
+        remedy = "make the arrays shorter, or keep them in states, which are not on the stack"
+        raise DiagramError(what, diagram.name, remedy)
     return ControllerCode(program, emitted.source, emitted.layout, stack)
 
 

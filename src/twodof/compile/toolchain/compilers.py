@@ -60,11 +60,8 @@ def find_compiler(name: str | None = None) -> Compiler:
             return Compiler("zig", (path, "cc"), ("-fno-sanitize=undefined",))
         if path:
             return Compiler(candidate, (path,))
-    raise CompileError(
-        f"no C compiler named {name!r} was found" if name else "no C compiler was found",
-        "",
-        "install gcc (Debian: apt-get install gcc libc6-dev), or the wheel ziglang (pip install ziglang)",
-    )
+    remedy = "install gcc (Debian: apt-get install gcc libc6-dev), or the wheel ziglang (pip install ziglang)"
+    raise CompileError(f"no C compiler named {name!r} was found" if name else "no C compiler was found", "", remedy)
 
 
 def find_zig() -> str | None:
@@ -117,11 +114,8 @@ def compile_c(
     done = run_compiler(compiler, (*options, "-o", str(target), str(file)), target.parent)
     if done.returncode or not target.is_file():
         said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
-        raise CompileError(
-            f"it refused the generated C: {said or f'exit status {done.returncode}'}",
-            compiler.name,
-            "check that the compiler works; if it does, this is a fault of twodof",
-        )
+        what = f"it refused the generated C: {said or f'exit status {done.returncode}'}"
+        raise CompileError(what, compiler.name, "check that the compiler works; if it does, this is a fault of twodof")
 
 
 def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[bytes]:

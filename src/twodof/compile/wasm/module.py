@@ -151,11 +151,9 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
     if clang and "clang" in clang and linker:
         # --stack-first: so that a stack that overflows leaves the memory instead of overwriting constants.
         return Compiler("clang", (clang,), ("--target=wasm32", f"-fuse-ld={linker}", "-Wl,--stack-first"))
-    raise CompileError(
-        f"no compiler {name!r:.80} for WebAssembly was found" if name else "no compiler for WebAssembly was found",
-        "target wasm",
-        "run `pip install ziglang` where twodof is installed, or install clang and lld",
-    )
+    what = f"no compiler {name!r:.80} for WebAssembly was found" if name else "no compiler for WebAssembly was found"
+    remedy = "run `pip install ziglang` where twodof is installed, or install clang and lld"
+    raise CompileError(what, "target wasm", remedy)
 
 
 def compile_module(

@@ -63,11 +63,8 @@ def prepare(definition: bytes) -> SampledExcitation:
         raise ExperimentError("is not a table of values", "excitation", "write it with to_json")
     effort = _effort(values) if values.get("kind") == Multisine.kind else 0.0
     if effort > MOST_EFFORT:
-        raise ExperimentError(
-            f"{effort:.2g} cosines are too many to be computed on board",
-            "multisine",
-            f"give fewer or lower harmonics, or less time: at most {MOST_EFFORT:.2g} cosines",
-        )
+        remedy = f"give fewer or lower harmonics, or less time: at most {MOST_EFFORT:.2g} cosines"
+        raise ExperimentError(f"{effort:.2g} cosines are too many to be computed on board", "multisine", remedy)
     try:
         return written_out(from_dict(values))
     except (ArithmeticError, LookupError, MemoryError, TypeError, ValueError) as reason:

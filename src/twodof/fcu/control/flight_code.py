@@ -119,9 +119,7 @@ class FlightCode:
         program = make(position_filter, precision, outside, inside)
         self.machine: CompiledMachine = program.machine()
         self._stepper = Stepper(
-            self.machine,
-            (*INPUTS, *(_COMMANDED if outside else ())),
-            (*OUTPUTS, *(("user_flies",) if outside else ())),
+            self.machine, (*INPUTS, *(_COMMANDED if outside else ())), (*OUTPUTS, *(("user_flies",) if outside else ()))
         )
         self.user_parameters: tuple[UserParameters, ...] = user_parameters(self.controllers)
         self._user_values: dict[str, Any] = {}

@@ -194,11 +194,7 @@ def failsafe() -> Diagram:
 
 
 def _flags(d: Diagram) -> None:
-    d.add(
-        "sensors",
-        SensorFlags(),
-        inputs={name: name for name in (*IMU, *RANGE, "imu_new", "x", "v", "rings", "arm")},
-    )
+    d.add("sensors", SensorFlags(), inputs={name: name for name in (*IMU, *RANGE, "imu_new", "x", "v", "rings", "arm")})
     d.add("place", EstimateFlags(), inputs={name: name for name in (*ESTIMATED, "rings")})
     for name, function in (("sine", "sin"), ("cosine", "cos")):
         d.add(name, Trigonometry(function, input_unit="rad"), u="theta")

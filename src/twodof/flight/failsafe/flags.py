@@ -94,10 +94,7 @@ class SensorFlags(Block):
         Port("range_taken", "bool"),
         Port("range_age", unit="s"),
     )
-    states = (
-        *(State(port.name, unit=port.unit) for port in ports(*IMU, "dist")),
-        State("at_end", False, "bool"),
-    )
+    states = (*(State(port.name, unit=port.unit) for port in ports(*IMU, "dist")), State("at_end", False, "bool"))
     params = tunables("failsafe.sensors")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:

@@ -96,14 +96,7 @@ def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
         closed="FLAG_ATTITUDE_ENABLED",
         position=(200.0, 60.0),
     )
-    d.add(
-        "rate",
-        RateLoop(*gains.rate),
-        q0="attitude.q0",
-        q="q",
-        in_reset="FLAG_RESET_INT",
-        position=(400.0, 100.0),
-    )
+    d.add("rate", RateLoop(*gains.rate), q0="attitude.q0", q="q", in_reset="FLAG_RESET_INT", position=(400.0, 100.0))
     d.output("M", "rate.M")
     return d
 

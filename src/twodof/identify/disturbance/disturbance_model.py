@@ -60,17 +60,11 @@ class DisturbanceModel:
         if not found:
             return None
         if len(found) > 1:
-            raise IdentificationError(
-                f"{len(found)} records each have a noise model of '{output}'",
-                "disturbance",
-                "take that of an estimate from one record",
-            )
+            what = f"{len(found)} records each have a noise model of '{output}'"
+            raise IdentificationError(what, "disturbance", "take that of an estimate from one record")
         if abs(dt - self.dt) > _SAME * self.dt:
-            raise IdentificationError(
-                f"the noise model is of samples {self.dt:g} s apart, the flight's are {dt:g} s apart",
-                "disturbance",
-                "plan with the same sampling time",
-            )
+            what = f"the noise model is of samples {self.dt:g} s apart, the flight's are {dt:g} s apart"
+            raise IdentificationError(what, "disturbance", "plan with the same sampling time")
         return found[0]
 
     @property

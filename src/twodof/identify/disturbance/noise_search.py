@@ -156,15 +156,11 @@ def _asked(
     if disturbance == "ar":
         return _coloured(problem, minimum, answering)
     if disturbance == "walk":
-        raise problem.structure.error(
-            f"disturbance='walk' needs a structure with pushed states and one output of at most {MOST} samples",
-            "take disturbance='ar', which any structure can have",
-        )
+        what = f"disturbance='walk' needs a structure with pushed states and one output of at most {MOST} samples"
+        raise problem.structure.error(what, "take disturbance='ar', which any structure can have")
     if not can_be_pushed(problem, minimum.x):
-        raise problem.structure.error(
-            "disturbance='input' needs a linear structure of one input, and one output sampled once a step",
-            "take disturbance='ar', which any structure can have",
-        )
+        what = "disturbance='input' needs a linear structure of one input, and one output sampled once a step"
+        raise problem.structure.error(what, "take disturbance='ar', which any structure can have")
     return _pushed(problem, minimum, answering)
 
 

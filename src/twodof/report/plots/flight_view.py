@@ -140,11 +140,8 @@ def _span(log: FlightLog, window: tuple[float, float] | None) -> tuple[float, fl
     start, end = log.span
     if window is not None:
         if not window[0] < window[1] or window[1] <= start or window[0] >= end:
-            raise LogError(
-                f"nothing was logged from {window[0]:g} to {window[1]:g} s",
-                log.source,
-                f"the log reaches from {start:.3f} to {end:.3f} s",
-            )
+            what = f"nothing was logged from {window[0]:g} to {window[1]:g} s"
+            raise LogError(what, log.source, f"the log reaches from {start:.3f} to {end:.3f} s")
         start, end = max(start, window[0]), min(end, window[1])
     return start, end
 

@@ -73,11 +73,9 @@ class RailFamily:
             correlation = np.where(np.isfinite(correlation), correlation, np.eye(2))
             k_v, p_v = (float(rows[name]["value"]) for name in RAIL)
         except (KeyError, TypeError, ValueError, IndexError) as reason:
-            raise ParameterError(
-                f"it is not a model of the cart ({type(reason).__name__}: {reason!s:.80})",
-                where,
-                "give a file that `twodof identify LOG --out` wrote for a velocity-doublet",
-            ) from reason
+            what = f"it is not a model of the cart ({type(reason).__name__}: {reason!s:.80})"
+            remedy = "give a file that `twodof identify LOG --out` wrote for a velocity-doublet"
+            raise ParameterError(what, where, remedy) from reason
         return cls(family, k_v, p_v, 0.5 * (correlation + correlation.T) * np.outer(sigma, sigma), base)
 
     def rigs(self, count: int, seed: int = 1) -> list[dict[str, float]]:
