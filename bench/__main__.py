@@ -1,7 +1,5 @@
 """Runs the benchmarks, prints a table, writes `bench/results`: `python -m bench [NAME ...] [--strict] [--quick]`."""
 
-from __future__ import annotations
-
 import argparse
 import datetime
 import json

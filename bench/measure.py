@@ -1,7 +1,5 @@
 """Timing on one core, the machine it was done on, and figures that know their targets."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

@@ -5,8 +5,6 @@ It also shows import cycles, including those for type checking and those inside 
 pages show how many files a new block, parameter, signal or stick mode touches.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import sys

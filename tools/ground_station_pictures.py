@@ -3,8 +3,6 @@
 `python -m tools.ground_station_pictures` needs Chromium, and the page built (`make web`).
 """
 
-from __future__ import annotations
-
 import io
 import shutil
 import sys

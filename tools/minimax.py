@@ -9,8 +9,6 @@ so that they make up for it.
 The largest weighted error of each fit, in units of 2^-53 or 2^-24, goes to the standard error stream.
 """
 
-from __future__ import annotations
-
 import sys
 import textwrap
 from collections.abc import Callable

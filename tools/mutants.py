@@ -11,8 +11,6 @@ A mutant meets the tests of its room that name its module, or import a helper th
 the room.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import copy

@@ -21,8 +21,6 @@ is also what follows the writing thread: the order of a ULog's messages and its 
 the MCAP recording follow it too, so their content is compared.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import hashlib

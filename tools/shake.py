@@ -7,8 +7,6 @@ The command's processes, and those that they start, stand still one after anothe
 failsafe waits makes itself safe, as it should. No test may fail because of that, or take it for a fault.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """The closed loop on the `lab` rig: compiled by twodof, by hand in C, in MuJoCo, and linear in python-control."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from typing import Any

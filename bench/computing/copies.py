@@ -1,7 +1,5 @@
 """Compiling time of a large diagram: 2,400 blocks."""
 
-from __future__ import annotations
-
 from bench.computing.start_up import build_seconds
 from bench.measure import Figure
 

@@ -1,7 +1,5 @@
 """The stock attitude cascade in float32 on the Cortex-M7: bytes and instructions a step, beside C by hand with libm."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence

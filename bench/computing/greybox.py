@@ -1,7 +1,5 @@
 """One grey-box fit of G_q with fractional delay to 1500 samples, beside scipy's least squares on two simulations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

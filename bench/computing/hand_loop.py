@@ -1,7 +1,5 @@
 """The hand-written C loop: built with the system's compiler, loaded, and given the parameters of a compiled machine."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import platform

@@ -6,8 +6,6 @@ sippy and AeroID are not Python packages that the benchmarks can ask for: withou
 installed.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

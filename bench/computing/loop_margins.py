@@ -4,8 +4,6 @@ Stable and unstable in open loop, resonant, with integrators, sampled with delay
 our crossings with the same figure. Octave is not a Python package: without it its lines say how it is installed.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

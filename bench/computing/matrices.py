@@ -1,7 +1,5 @@
 """Kalman filters of 6, 12 and 24 states and chained products: compiled by twodof, by hand in C, and in numpy."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 import tempfile

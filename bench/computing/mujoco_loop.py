@@ -1,7 +1,5 @@
 """The rig as MuJoCo sees it: a cart that slides, a drone that pitches on it; and the cascade around it in Python."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Random loops for comparisons: stable and unstable, resonant, with integrators, sampled with delays, by seed."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ same repository. It is not ours: the benchmark takes both from the checkout that
 names, and measures nothing without one.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess

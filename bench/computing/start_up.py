@@ -1,7 +1,5 @@
 """How long it takes to begin: the import, and from a diagram to loaded native code, each in processes of their own."""
 
-from __future__ import annotations
-
 import json
 import os
 import statistics

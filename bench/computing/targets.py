@@ -1,7 +1,5 @@
 """The targets: how soon a changed diagram runs on each, and how fast WebAssembly is beside native code."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """The companion: its own share of a frame, and what the system adds between processes on loopback."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import subprocess

@@ -3,8 +3,6 @@
 It prints a line of JSON with its URL; for each line on standard input it prints one with what it has noted since.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import subprocess

@@ -3,8 +3,6 @@
 Real time is real here: what a busy machine does to it shows in the figures.
 """
 
-from __future__ import annotations
-
 import asyncio
 import time
 from contextlib import ExitStack

@@ -4,8 +4,6 @@ Each connection sends heartbeats of a system of its own as fast as they are take
 It says a line once all have been tried, and ends with standard input.
 """
 
-from __future__ import annotations
-
 import selectors
 import socket
 import sys

@@ -4,8 +4,6 @@ Sent to first control period with the motors off, one clock. Each kill is said o
 says it. Floods come from four processes, all on the cores of this machine.
 """
 
-from __future__ import annotations
-
 import json
 import queue
 import random

@@ -4,8 +4,6 @@ It prints a line of JSON with its URLs, TCP and UDP. For each line on standard i
 arms in the name of the system there. It prints when it is armed, and when the motors have stopped.
 """
 
-from __future__ import annotations
-
 import asyncio
 import sys
 import time

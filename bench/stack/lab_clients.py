@@ -4,8 +4,6 @@ Everything is on this machine: drones with their companions, the server, which f
 clients. Real time is real here: what else the machine does shows in the figures.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """Set-point sent to first motor change: a client's call in one process, the motors' commands in another, one clock."""
 
-from __future__ import annotations
-
 import random
 import time
 from pathlib import Path

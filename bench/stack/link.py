@@ -1,7 +1,5 @@
 """The wire: encoding and decoding beside pymavlink's, loading the dialect, round trips in memory and on loopback."""
 
-from __future__ import annotations
-
 import asyncio
 import statistics
 import subprocess

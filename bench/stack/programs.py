@@ -1,7 +1,5 @@
 """Our programs as a user starts them (`twodof fcu`, `twodof companion`, ...): processes of their own, on free ports."""
 
-from __future__ import annotations
-
 import os
 import random
 import re

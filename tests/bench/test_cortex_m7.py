@@ -1,7 +1,5 @@
 """The hand-written cascades compute what the compiled ones do, and a wrong coefficient would be seen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

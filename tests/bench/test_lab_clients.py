@@ -3,8 +3,6 @@
 That no control period is missed is for the benchmark to say, on a machine that does nothing else.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from bench.stack import lab_clients

@@ -1,7 +1,5 @@
 """How long a set-point takes, from what was sent and what the motors did."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

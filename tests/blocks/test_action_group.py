@@ -1,7 +1,5 @@
 """Refusals of action groups; their function is tested in tests/compile/semantics.py."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Guards and actions as text: they mean what the same functions mean, and a hostile text is refused quickly."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Buses: fields, connections as one wire, blocks, files and programs, and refusals."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle

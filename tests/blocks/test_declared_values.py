@@ -1,7 +1,5 @@
 """A declared value is of its kind, or is refused at the door: no compiler ever sees `{0x}` for a whole number."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """The difference of two diagrams: each kind of change named once, nothing else, and none after a round trip."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

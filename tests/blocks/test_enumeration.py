@@ -1,7 +1,5 @@
 """Enumerations: members, connections, names in and out, and refusals."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle

@@ -1,7 +1,5 @@
 """One interface for a running program: the same rules and words from the interpreter and from compiled code."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """State machines as a user writes them: an error names the mode, the line and the remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The calibration: its unknowns, what it ships, and that it finds it again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

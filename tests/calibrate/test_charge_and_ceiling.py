@@ -1,7 +1,5 @@
 """The charge that a flight shows, and the FIT that gusts leave, on flights of the virtual rig."""
 
-from __future__ import annotations
-
 import pytest
 
 from twodof.calibrate import estimate_charge, gust_ceiling, gust_fits

@@ -1,7 +1,5 @@
 """Gusts measured in level holds: those that a simulated rig was given, and those of the real logs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

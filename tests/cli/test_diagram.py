@@ -1,7 +1,5 @@
 """`twodof diagram`: new, check, code, render, linearize, as a user meets them."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ElementTree
 import zipfile

@@ -1,7 +1,5 @@
 """`twodof diagram test`, as a user meets it."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`twodof fcu`: it says where it listens, flies, and ends cleanly by a signal, armed or not."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

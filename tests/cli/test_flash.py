@@ -1,7 +1,5 @@
 """`twodof flash`: sizes, what changes, one stored slot, and refusals that change nothing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Ctrl-C at any moment ends a command with one line and status 130: no traceback, no file, no process left."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """`twodof lab`, and the page of `twodof up`: links, tokens, and the end."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import os

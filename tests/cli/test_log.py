@@ -1,7 +1,5 @@
 """`twodof log`: info, plot and fetch; `--plot` of the commands that fly."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

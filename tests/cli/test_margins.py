@@ -1,7 +1,5 @@
 """`twodof diagram margins`: the table, its JSON, the picture, and the words for an unstable loop."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

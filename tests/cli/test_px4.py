@@ -1,7 +1,5 @@
 """`twodof px4 export` and `twodof px4 check`: what they print, write and return."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`twodof up`: drones that answer where it says, programs that are kept running, and nothing left behind."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """`twodof watch`: what a drone tells is what is shown, nobody is disturbed, and it ends well."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """Files that commands write: one that is there is kept without --force, and a wrong place is refused first."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

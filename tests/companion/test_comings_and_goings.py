@@ -1,7 +1,5 @@
 """Clients that come, go, move and are joined in circles: nothing is left of them, nothing goes round for ever."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import random

@@ -1,7 +1,5 @@
 """The reference and compiled programs side by side, bit for bit, on any target."""
 
-from __future__ import annotations
-
 import itertools
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence

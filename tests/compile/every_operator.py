@@ -1,7 +1,5 @@
 """Every operation of the language on every type that it takes, alone, and every elementary function."""
 
-from __future__ import annotations
-
 import itertools
 import random
 from collections.abc import Callable, Sequence

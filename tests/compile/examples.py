@@ -1,7 +1,5 @@
 """Hand-made blocks and diagrams whose results have a closed form or are read in the tests."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Param, Port, State, int32, maximum, minimum, store, where

@@ -1,7 +1,5 @@
 """Random state machines in a diagram, with random inputs."""
 
-from __future__ import annotations
-
 import random
 from typing import Any
 

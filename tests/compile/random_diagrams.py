@@ -1,7 +1,5 @@
 """Random diagrams: library and random blocks, rates, enabled and reset sub-diagrams, continuous states, edges."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 All numbers are small whole ones, which both precisions hold exactly.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

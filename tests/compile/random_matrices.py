@@ -1,7 +1,5 @@
 """Blocks of matrices for random diagrams: random operations on matrices, vectors and numbers that stay small."""
 
-from __future__ import annotations
-
 import random
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Compiled programs: closed forms, the reference's bits, the interface of docs/explanation/language.md, section 6."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any

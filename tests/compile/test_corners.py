@@ -1,7 +1,5 @@
 """Random diagrams in corners: parameters and states set from outside while the tick wraps around."""
 
-from __future__ import annotations
-
 import random
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Faults in the emitter, in the compiler's flags and in the processor, found by the comparison of targets."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace

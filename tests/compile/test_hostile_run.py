@@ -1,7 +1,5 @@
 """Files that the loader accepts compile, and run in the sandbox within their fuel with the reference's bits."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import resource

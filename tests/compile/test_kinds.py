@@ -3,8 +3,6 @@
 The bits of each operation are compared in `test_targets.py` (`every_operator`, random diagrams).
 """
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A large diagram: from source to loaded machine code in bounded time."""
 
-from __future__ import annotations
-
 import gc
 import resource
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parameters that change while a program runs: the same rules and bits on every target."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Matrices as ports, states and parameters: numpy and scipy judge the numbers, the reference every target's bits."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Values read under a condition are computed only there, and kept only if they are read later; no bit changes."""
 
-from __future__ import annotations
-
 import random
 import re
 import time

@@ -3,8 +3,6 @@
 That all targets do as the reference is in test_targets.py.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from tests.compile.differential import DT, reference_run

@@ -1,7 +1,5 @@
 """Paths: the output of a sub-diagram is a signal, and an unknown name is answered with its nearest neighbours."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

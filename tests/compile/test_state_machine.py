@@ -1,7 +1,5 @@
 """State machines: the reference against an interpreter of tables. That all targets do as it is in test_targets.py."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

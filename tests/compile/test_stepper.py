@@ -1,7 +1,5 @@
 """Stepper and Rerun give the bits of `CompiledMachine.step` and `.run`, and refuse what these refuse."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ See docs/explanation/targets.md.
 A test is a group of diagrams in one precision on all targets: the reference, which takes longest, runs once for them.
 """
 
-from __future__ import annotations
-
 import itertools
 import random
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Diagrams over enumerations and buses, and beside each a loop that says in Python what it does."""
 
-from __future__ import annotations
-
 import random
 from collections import deque
 from enum import IntEnum

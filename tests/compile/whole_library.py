@@ -1,7 +1,5 @@
 """Every block of the library with inputs that break things: rooms of blocks side by side, and what is fed to them."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Sequence

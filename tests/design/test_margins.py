@@ -1,7 +1,5 @@
 """Margins: loops whose margins one knows by hand, what a margin promises, the course's designs, and bad input."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

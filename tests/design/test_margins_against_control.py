@@ -1,7 +1,5 @@
 """Margins against python-control's, on 50 random loops: ours by states, its by polynomials."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import control

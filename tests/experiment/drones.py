@@ -1,7 +1,5 @@
 """Virtual drones in lockstep for tests: in a process of their own, or in a thread, where a test can spoil them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -2,8 +2,6 @@
 to the wire's float32 on the ground. And a flight that goes wrong says so.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import signal

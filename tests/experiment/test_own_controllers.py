@@ -1,7 +1,5 @@
 """Experiments with a user's controllers: good data, or data with the fault; never a crash."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 holds the change, and flies again to the same bits.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

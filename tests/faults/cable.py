@@ -1,7 +1,5 @@
 """A serial cable between two programs: two pseudo-terminals and a thread that carries the bytes, until it is pulled."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading

@@ -1,7 +1,5 @@
 """Hostile MAVLink: recorded traffic and messages of every kind with fields that nobody would send, checksums right."""
 
-from __future__ import annotations
-
 import random
 import struct
 from collections.abc import Callable

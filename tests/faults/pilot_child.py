@@ -3,8 +3,6 @@
 python -m tests.faults.pilot_child URL FILE
 """
 
-from __future__ import annotations
-
 import sys
 from contextlib import suppress
 from dataclasses import replace

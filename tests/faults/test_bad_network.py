@@ -1,7 +1,5 @@
 """A bad network under the assembled thing: packets are lost, delayed or repeated, and still all is done once."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

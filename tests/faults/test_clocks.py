@@ -1,7 +1,5 @@
 """Wall clocks that jump: the monotonic one rules, and stamps of signatures follow docs/reference/protocol.md."""
 
-from __future__ import annotations
-
 import asyncio
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A disk that is full in flight, on the whole system: nothing written is lost, and nothing waits for the disk."""
 
-from __future__ import annotations
-
 import json
 import resource
 from collections.abc import Callable, Iterator

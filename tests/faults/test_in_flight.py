@@ -1,7 +1,5 @@
 """Sensors, battery, controllers and set-points that fail in flight, seen on the assembled thing, companion included."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 What is stated is measured on board, in control periods.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The tables of hazards, faults and threats in docs: the tests that they name are there, and none is left out."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where a key is set, a frame without its signature changes only the counters of what was refused."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import random

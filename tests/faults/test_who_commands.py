@@ -1,7 +1,5 @@
 """Two clients that command at once, and commands without a signature: on the whole system, behind the companion."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -4,8 +4,6 @@ The flight controller runs as in real time: nothing is granted. But its pace is 
 minutes pass in seconds, and a loaded machine changes nothing.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import sys

@@ -1,7 +1,5 @@
 """The whole program of a drone on its virtual rig, driven by hand through bytes: no loop, no link, no clock."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from typing import Any
 

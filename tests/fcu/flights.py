@@ -1,7 +1,5 @@
 """Flights of a flight code on the virtual rig without any wire, and controllers that fail in flight."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """`twodof fcu` as a process of its own, for tests that need it as its users have it."""
 
-from __future__ import annotations
-
 import os
 import selectors
 import signal

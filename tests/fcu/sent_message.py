@@ -1,7 +1,5 @@
 """A message that went out as bytes, as over a real link; it is read back where a test looks at a field."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Steps made up for tests of what is kept of them."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any, get_type_hints
 

@@ -1,7 +1,5 @@
 """State that a virtual drone keeps after a session over MAVLink: parameters, and a log with its texts."""
 
-from __future__ import annotations
-
 import asyncio
 import struct
 from pathlib import Path

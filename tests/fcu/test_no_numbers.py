@@ -4,8 +4,6 @@ From the pilot in flight: nothing raises, the flight code and the motors get fin
 on. On the ground: nothing arms, and no parameter changes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from math import inf, isfinite, nan
 from typing import Any

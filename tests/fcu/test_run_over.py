@@ -3,8 +3,6 @@
 A flight over such a moment is the same flight as one just after the start: what it asks, commands and sends.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

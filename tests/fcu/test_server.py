@@ -1,7 +1,5 @@
 """The shell: links in and out, time as it is granted, what happens to peers, links and faults."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import Callable, Coroutine, Hashable

@@ -1,7 +1,5 @@
 """Two clients at one virtual drone over real links: one commands, the other is refused in everything but the stop."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

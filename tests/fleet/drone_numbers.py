@@ -1,7 +1,5 @@
 """Numbers of drones for tests of `twodof up`: their ports are fixed, and tests, and people, run side by side."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import tempfile

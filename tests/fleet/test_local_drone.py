@@ -1,7 +1,5 @@
 """State left on a drone is told, and `--fresh` starts without it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

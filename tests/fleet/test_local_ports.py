@@ -1,7 +1,5 @@
 """The owner of a taken port is named in the error."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import socket

@@ -1,7 +1,5 @@
 """A controller is tried on the virtual rig before it is flashed: what is unstable does not fly unless it is forced."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Virtual drones of a program's own: several start side by side, fly and are recorded together, and end together."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 import time

@@ -1,7 +1,5 @@
 """Each parameter of the flight code is one row, from which its block's default and bounds come."""
 
-from __future__ import annotations
-
 import pytest
 
 from twodof.compile.program.lower import lower

@@ -1,7 +1,5 @@
 """The slot: what was flashed is what flies, one of a kind, wholly or not at all."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Around a user's controllers: a NaN or infinity stops the motors, motors make pairs, flags follow the mode."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

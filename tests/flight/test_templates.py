@@ -1,7 +1,5 @@
 """The templates: the ports SLXtoPX4's controllers have, and what is said of a diagram that has others."""
 
-from __future__ import annotations
-
 import pytest
 
 from twodof.blocks import Diagram

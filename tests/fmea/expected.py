@@ -1,7 +1,5 @@
 """Expected action of each row of the hazard analysis, one line a row."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Faults as blocks: what becomes of a signal from a moment on. Kind, size and moment are parameters."""
 
-from __future__ import annotations
-
 from math import inf, nan
 from typing import Any
 

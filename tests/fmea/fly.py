@@ -1,7 +1,5 @@
 """Flights of the rows: `python -m tests.fmea.fly [--times N] [text]` prints what the rows with `text` measured."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import zlib

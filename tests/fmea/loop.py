@@ -1,7 +1,5 @@
 """One compiled closed loop for all rows of the hazard analysis: an instance flies a situation, a fault and a seed."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Measurements of the rows in measured.csv: `python -m tests.fmea.measured` writes it, then tools/tables.py."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path

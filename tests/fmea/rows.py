@@ -1,7 +1,5 @@
 """The rows of the hazard analysis: what fails and how, and where it is flown."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """The hazard analysis: each row puts its fault into the compiled closed loop, on both rigs, and is judged."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import pytest

@@ -1,7 +1,5 @@
 """Connecting: signing keys, system ids, taken ports, and the discovery of drones."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Recordings: copies and empty batches, the file that is replaced, what flew, and a minute without a gap."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

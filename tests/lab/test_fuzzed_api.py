@@ -1,7 +1,5 @@
 """Requests drawn from the API's own description, right and wrong ones, to a server with a virtual drone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any

@@ -1,7 +1,5 @@
 """From a flight to a controller over the API alone, on a real virtual drone whose time the clients grant."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

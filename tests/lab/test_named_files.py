@@ -1,7 +1,5 @@
 """Folder of files that a user names: kept whole, never replaced unasked, and never outside the folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Tuning over the API on a virtual drone: transactions, undo, snapshots, files and the model's guard."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Turns: people take turns, and the person with the most requests is refused first."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

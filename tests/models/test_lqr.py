@@ -1,7 +1,5 @@
 """The LQR: Bellman's equation by brute force, python-control's own gains, and a delay that it predicts over."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Drawings measured: nothing overlaps, no wire runs through a box, every connection is drawn, texts are inside."""
 
-from __future__ import annotations
-
 import random
 import time
 import xml.etree.ElementTree as ElementTree

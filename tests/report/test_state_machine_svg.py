@@ -1,7 +1,5 @@
 """Drawings of state machines measured: nothing overlaps, each transition is drawn and told, and texts fit."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import re

@@ -1,7 +1,5 @@
 """Step responses of flights: their figures against closed forms, the published ones of the real drone, and the plot."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

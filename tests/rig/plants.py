@@ -1,7 +1,5 @@
 """The rig's equations written a second time, for other people's integrators: scipy's and MuJoCo's."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

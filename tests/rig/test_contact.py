@@ -1,7 +1,5 @@
 """Contact: what sticks stays to the bit, what slides stops where mechanics says, what bounces keeps the closed form."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

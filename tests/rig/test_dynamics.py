@@ -1,7 +1,5 @@
 """The dynamics against scipy's DOP853 and MuJoCo, the order of the integrator, and the balances of mechanics."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

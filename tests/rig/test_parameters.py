@@ -1,7 +1,5 @@
 """The two named rigs: published numbers, origins, bounds, files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

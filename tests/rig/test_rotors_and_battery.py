@@ -1,7 +1,5 @@
 """Rotors and battery by their closed forms: thrust, moment gain, delay, lag, wake, discharge, sag."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

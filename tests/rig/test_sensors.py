@@ -1,7 +1,5 @@
 """Sensors: rates, age, quantisation, and the noise of the logs or none."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

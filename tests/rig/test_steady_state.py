@@ -1,7 +1,5 @@
 """Steady-state figures from the rig's parameters, against simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

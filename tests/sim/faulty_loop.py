@@ -1,7 +1,5 @@
 """Closed loop with the failsafe and a user's controller that fails, flown piece by piece."""
 
-from __future__ import annotations
-
 import functools
 from math import inf
 from typing import Any

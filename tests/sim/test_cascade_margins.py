@@ -1,7 +1,5 @@
 """The loops as they fly: against compiled flights at the border, against one linearisation of the whole, by hand."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import Any

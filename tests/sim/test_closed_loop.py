@@ -1,7 +1,5 @@
 """The closed loop: it holds and steps, repeats to the bit, starts where it is told, and refuses what cannot be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

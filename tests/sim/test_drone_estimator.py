@@ -1,7 +1,5 @@
 """The drone's estimator: the drone's own estimates from its logged sensors, its delay, and where it settles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

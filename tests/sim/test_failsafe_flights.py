@@ -1,7 +1,5 @@
 """The failsafe in flight: silent where nothing fails, on the rig and in real logs; safe in its time where it does."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Start of a flight as read from a log: flights of the virtual rig, and made-up ones, whose start is known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How far healthy flights stay from the limits at which the failsafe no longer believes what its sensors say."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from typing import Any

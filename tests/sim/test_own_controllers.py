@@ -1,7 +1,5 @@
 """The starters in the closed loop: their steps on both rigs, and their margins."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

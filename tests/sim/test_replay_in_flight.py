@@ -1,7 +1,5 @@
 """A log carries what a replay needs: gains that were changed in flight, the user's controllers and their tuning."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

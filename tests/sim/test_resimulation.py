@@ -1,7 +1,5 @@
 """Real flights flown again on the lab rig: FIT by the registry's windows and rules, other windows, and refusals."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

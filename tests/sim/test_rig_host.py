@@ -1,7 +1,5 @@
 """The virtual rig and the flight code as two programs give the bits of the closed loop that is compiled as one."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

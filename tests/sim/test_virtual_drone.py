@@ -1,7 +1,5 @@
 """A virtual drone as one thing: parameters that fly, uploads that are kept, what is damaged, the page of the docs."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Action groups: sub-diagrams that act one at a time, with merged outputs; and an integrator with a reset."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

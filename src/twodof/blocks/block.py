@@ -1,7 +1,5 @@
 """Block: named inputs, outputs, states and parameters, and methods in Python that compute outputs and states."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Bus: named fields that connect as one wire."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

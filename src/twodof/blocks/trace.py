@@ -1,7 +1,5 @@
 """Trace: expressions recorded by the methods of a block, checked against its declarations; errors in its Python."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@ at once. While a command works it is KeyboardInterrupt, so that files and drones
 there is nothing left to interrupt.
 """
 
-from __future__ import annotations
-
 # What is imported here is imported before Ctrl-C is met: only what every Python has loaded already, or has built in.
 import _signal
 import _thread
@@ -47,7 +45,7 @@ def _leave(*_: object) -> None:
     os._exit(INTERRUPTED)
 
 
-def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
+def _raise_again(unraisable: "sys.UnraisableHookArgs") -> None:
     """Raise an interrupt again that came where Python cannot raise (a destructor, a callback of C)."""
     if unraisable.exc_type is KeyboardInterrupt:
         _thread.start_new_thread(_thread.interrupt_main, ())  # from here it would come within this very hook

@@ -1,7 +1,5 @@
 """`twodof watch`: drones in a table that follows them, as lines in a pipe, or as JSON; it commands nothing."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 import time

@@ -1,7 +1,5 @@
 """Prediction of the motion in an excitation before it is flown, by the simulated closed loop."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Active controller of a drone: its parameters, the diagrams of the user's controllers, and changes in flight."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ has the lease while it runs, and its end disarms the drone. Exit status: 0 the p
 raised, 2 FILE is not such a program.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import inspect

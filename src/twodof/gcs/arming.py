@@ -1,7 +1,5 @@
 """Arming, disarming and the kill from the ground: MAVLink commands, each confirmed by the drone's heartbeat."""
 
-from __future__ import annotations
-
 import asyncio
 from contextlib import suppress
 

@@ -1,7 +1,5 @@
 """AsyncDrone: one drone, flown from an asyncio program. Every call ends in a value or a typed error, in time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial

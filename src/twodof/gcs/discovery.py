@@ -1,7 +1,5 @@
 """Discovery of drones: by heartbeats at the usual ports of this machine, and by answers at a host's ports."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 from collections import Counter

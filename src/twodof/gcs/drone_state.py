@@ -1,7 +1,5 @@
 """State of a drone from its heartbeat, rig, battery and safety messages, and its STATUSTEXT lines."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Player of excitations on board: sent in pieces, started at a tick, watched to the end."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import count
 from math import ceil, nan

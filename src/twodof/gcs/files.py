@@ -1,7 +1,5 @@
 """Files on board, read and written by MAVLink FTP, and the download of logs."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

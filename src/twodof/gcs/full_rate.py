@@ -1,7 +1,5 @@
 """Samples at the full rate of control, in order and each tick once; one subscription serves all readers."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import reduce

@@ -1,7 +1,5 @@
 """Event loop in a thread of its own, for scripts without asyncio; it never keeps a process from ending."""
 
-from __future__ import annotations
-
 import asyncio
 import atexit
 import threading

@@ -1,7 +1,5 @@
 """Parameters of a drone: read, listed, set one or several at once, undone."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections import deque

@@ -1,7 +1,5 @@
 """Recording of a flight on the ground: every topic at full rate into MCAP, with a count of the lost rows."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress

@@ -3,8 +3,6 @@
 A slow reader loses the oldest samples, which are counted, and delays no other reader.
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence

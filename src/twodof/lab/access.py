@@ -8,8 +8,6 @@ A page of another site can have its reader's browser send requests to this compu
 name of its own that points to this computer (DNS rebinding) it would be its own origin; it cannot forge `Host`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import ipaddress

@@ -1,7 +1,5 @@
 """Answers in JSON: values without NaN, errors with the remedy and their HTTP status, the bodies of requests."""
 
-from __future__ import annotations
-
 import errno
 import json
 import re

@@ -1,7 +1,5 @@
 """Work on diagrams in processes of their own: checks, code, margins, PX4 modules and rehearsals, as plain data."""
 
-from __future__ import annotations
-
 import base64
 import io
 import zipfile

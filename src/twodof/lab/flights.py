@@ -1,7 +1,5 @@
 """Work on experiments in processes of their own: excitations, flights, identification, design of a controller."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, replace

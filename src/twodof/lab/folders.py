@@ -1,7 +1,5 @@
 """Folders of the user's data: files that the user names, and logs with their notes and the deleted ones."""
 
-from __future__ import annotations
-
 import re
 import secrets
 import time

@@ -1,7 +1,5 @@
 """Laboratory of one server: its drones, its processes, its logs and its clients."""
 
-from __future__ import annotations
-
 import asyncio
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Work on logs in a process of its own: summaries, views, comparisons, replays and conversions, as plain data."""
 
-from __future__ import annotations
-
 import base64
 from collections import OrderedDict
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Folder of identified models, and the guard that first tries a change of gains on a model."""
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import json

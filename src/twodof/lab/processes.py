@@ -4,8 +4,6 @@ All of them run `_serve`, started by one fork server that has imported the labor
 it returns plain data for JSON. The work of a job gets a function first by which it reports its progress.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import multiprocessing

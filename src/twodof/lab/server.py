@@ -1,7 +1,5 @@
 """Server: the application of routes, access and page behind uvicorn, on a socket that is opened here."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

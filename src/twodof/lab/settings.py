@@ -1,7 +1,5 @@
 """Settings of a server, its tokens, and the links that it prints."""
 
-from __future__ import annotations
-
 import ipaddress
 import secrets
 import socket

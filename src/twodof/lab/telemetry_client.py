@@ -1,7 +1,5 @@
 """Clients of the web socket: their requests, subscriptions and events."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from typing import Annotated, Literal, Self

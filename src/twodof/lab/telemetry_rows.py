@@ -1,7 +1,5 @@
 """Rows of telemetry: joined by tick, decimated once for all clients of the same feed, packed for sending."""
 
-from __future__ import annotations
-
 import asyncio
 import struct
 import time

@@ -1,7 +1,5 @@
 """Turns at what is scarce: the event loop, a process, a place. Each role has its own, and people take turns in it."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Iterable

@@ -4,8 +4,6 @@ Deterministic. Each transition has a lane of its own where others run, and each 
 lies on a line.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from inspect import cleandoc
 

@@ -1,7 +1,5 @@
 """The closed loop as a WebAssembly module for another host, such as a browser, with the start of a flight."""
 
-from __future__ import annotations
-
 import base64
 import functools
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Forward-mode derivatives: each operation against mpmath's numerical derivative, loops, arrays, ties."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Blocks and programs take numpy's arrays and scalars like lists and numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

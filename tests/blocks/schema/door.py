@@ -4,8 +4,6 @@ Run as a program with a folder, it prints one line of JSON for each file, in the
 prints one for each line, which is a diagram's text as a JSON string. All are loaded in one process.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import resource

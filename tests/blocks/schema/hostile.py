@@ -1,7 +1,5 @@
 """Diagram files made to harm: too large, too deep, endless, malformed, or named like something else."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """State machines of a stranger: small files whose ways are endless to follow, and files that are not machines."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tests.blocks.schema.hostile import file

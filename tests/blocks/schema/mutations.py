@@ -1,7 +1,5 @@
 """Files that are nearly diagrams: valid ones with something in them changed."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import json

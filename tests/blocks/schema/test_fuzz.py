@@ -1,7 +1,5 @@
 """The loader fuzzed: any input loads or is refused with a typed error, in bounded time."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 

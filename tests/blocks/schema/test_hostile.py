@@ -1,7 +1,5 @@
 """A hostile diagram file is refused with a reason, in bounded time and memory (docs/reference/diagram-files.md)."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The emitted C: readable, without globals or allocation, accepted by strict compilers, usable from C."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Memory functions without a C library, and the check of the structs' layout."""
 
-from __future__ import annotations
-
 import ctypes
 import dataclasses
 import random

@@ -4,8 +4,6 @@ Only identifiers come in as names (tests/blocks/schema/test_hostile.py). These a
 compilers, the linker or the emitted file itself use.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

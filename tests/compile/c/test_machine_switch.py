@@ -1,7 +1,5 @@
 """The C of a state machine: a switch that reads like the drawing."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

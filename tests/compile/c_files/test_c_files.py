@@ -1,7 +1,5 @@
 """A program's header: a user's own C and C++ calls the program through it, with the bits of the reference."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Exported C keeps the rules of MISRA C:2012, but those that docs/explanation/targets.md lists, as cppcheck sees it."""
 
-from __future__ import annotations
-
 import random
 import re
 import subprocess

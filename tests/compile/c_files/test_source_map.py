@@ -1,7 +1,5 @@
 """Traceability, both ways: every line of the generated step has an owner, every block that runs has lines."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Programs in C by hand, with the four functions that an image wants, to be wrong or measured in known ways."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

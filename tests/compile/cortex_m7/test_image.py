@@ -1,7 +1,5 @@
 """Images: both compilers, levels of optimisation, the cache, what does not fit, what is missing, sizes."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Whatever goes wrong on the processor or with its emulator becomes a typed error in bounded time."""
 
-from __future__ import annotations
-
 import gc
 import os
 import re

@@ -1,7 +1,5 @@
 """Bytes, stack and instructions of programs whose cost is known in advance."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

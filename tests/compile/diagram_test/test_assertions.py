@@ -1,7 +1,5 @@
 """Assertions over time, against their meaning written out tick by tick."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

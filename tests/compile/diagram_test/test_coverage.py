@@ -1,7 +1,5 @@
 """Which sides of a diagram's decisions tests took: a diagram made by hand, and plain Python branches as the judge."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Files of tests: what they say is what runs, and what they must not say is refused with its place."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

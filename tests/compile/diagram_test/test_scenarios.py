@@ -1,7 +1,5 @@
 """Scenarios run on every target, and judged as a written-out loop judges them."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from typing import Any

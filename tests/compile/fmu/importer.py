@@ -1,7 +1,5 @@
 """An FMU as an importer sees it: fmpy reads its description, loads its binary and calls its functions."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """FMUs in fmpy: valid descriptions, the bits of the native target, parameters that change, and instances apart."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

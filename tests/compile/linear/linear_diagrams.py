@@ -1,7 +1,5 @@
 """Small diagrams whose linear model is known."""
 
-from __future__ import annotations
-
 import math
 import random
 from typing import Any

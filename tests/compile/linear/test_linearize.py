@@ -1,7 +1,5 @@
 """Exact linear models: against equations and python-control."""
 
-from __future__ import annotations
-
 import math
 from time import process_time
 from typing import Any

@@ -1,7 +1,5 @@
 """Diagrams and points without a linear model, the named cause, and states left out of a model."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

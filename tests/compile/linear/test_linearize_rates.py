@@ -1,7 +1,5 @@
 """Linear models over several rates: against python-control, and against the compiled program over many periods."""
 
-from __future__ import annotations
-
 import random
 from time import process_time
 from typing import Any

@@ -1,7 +1,5 @@
 """The whole rig's linear model: against its equations by hand and scipy's exponential, and against compiled flights."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The ready-made structures' linear models: against textbook matrices, and against what the compiled program does."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import Any

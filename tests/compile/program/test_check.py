@@ -1,7 +1,5 @@
 """All problems at once, as lowering refuses them, with whole paths; sizes, feed-through, remarks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

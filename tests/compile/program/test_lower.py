@@ -1,7 +1,5 @@
 """Refusals of contradictions, by lowering and by the reference, and the order of signals."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Modules on the bench, each built once a worker, and a fresh process of them for each test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Publications of commander, sensors and pilot for a work item in flight, and the host's outputs for its inputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from itertools import pairwise

@@ -3,8 +3,6 @@
 `python -m tests.compile.px4.golden` writes them anew; look at the difference before it is committed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A module's controller on this machine: its C file, built with PX4's flags, fed with rows of words."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

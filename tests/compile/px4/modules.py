@@ -1,7 +1,5 @@
 """Small diagrams: two whose modules are golden files, and others whose modules fly on the bench."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Param, Port, State, int32, to_real, where

@@ -1,7 +1,5 @@
 """The C of a module, built with all of PX4's flags, gives the bits of the host."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path

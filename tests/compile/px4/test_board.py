@@ -1,7 +1,5 @@
 """A module's controller on a flight controller's processor: it fits the stack that its CMakeLists.txt promises."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

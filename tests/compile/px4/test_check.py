@@ -1,7 +1,5 @@
 """`check`: a tree that fits has no findings, and each mismatch that PX4's build does not show is found."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

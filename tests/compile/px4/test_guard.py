@@ -1,7 +1,5 @@
 """Work item in flight while other modules publish, a command stops it, or the gyro falls silent."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

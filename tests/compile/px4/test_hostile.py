@@ -1,7 +1,5 @@
 """Names and texts made of code are harmless in every file of the tree."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Parameters of a work item that flies: changed between two steps, in batches, within their bounds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

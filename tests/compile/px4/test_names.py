@@ -1,7 +1,5 @@
 """Names inside PX4: legal, unique, stable."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Modules with other outputs: commands that overflow, a place along the rail, both loops, the four motors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """module.yaml: valid by PX4's own rules, restated here, and true to the diagram."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

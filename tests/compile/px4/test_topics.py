@@ -1,7 +1,5 @@
 """Ports and topics: templates fit, roles are found, what PX4 has nothing for is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The exported tree: deterministic, complete, written wholly or not at all."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

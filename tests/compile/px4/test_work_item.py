@@ -1,7 +1,5 @@
 """The work item, built with PX4's warning flags against stand-ins for its headers, flown step by step."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

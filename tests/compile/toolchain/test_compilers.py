@@ -1,7 +1,5 @@
 """Compilers and the cache of what they made: two processes at once, damage, no right to write, other flags."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import select

@@ -1,7 +1,5 @@
 """WebAssembly in steps and runs of any length, and its interface; `test_targets.py` compares its bits."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Limits of a module: no imports, bounded time and memory, no calls after a fault."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import gc

@@ -1,7 +1,5 @@
 """A commander before a flight code that arms when nothing speaks against it: ticks without anything that flies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 

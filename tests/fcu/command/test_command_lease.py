@@ -1,7 +1,5 @@
 """The lease: one holder at most, nobody else's command acts, kill and disarm always do, and it ends in bounded time."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st

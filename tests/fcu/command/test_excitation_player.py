@@ -1,7 +1,5 @@
 """Excitations on board: the very bits of their definition at every tick, and every reason not to play."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 

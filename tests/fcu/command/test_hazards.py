@@ -1,7 +1,5 @@
 """Hazards that a commander alone can bring about: what was asked for before acts after, or nobody watches."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Refusals of the commander: their words and codes, and the state that they leave unchanged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import nan
 

@@ -1,7 +1,5 @@
 """The flight code a tick at a time: parameters, controllers inside and in the sandbox, and what replaces them."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Any

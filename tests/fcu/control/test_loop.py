@@ -1,7 +1,5 @@
 """The control loop: late steps, the stop from outside, grants, and beginning again."""
 
-from __future__ import annotations
-
 import time
 from types import SimpleNamespace
 

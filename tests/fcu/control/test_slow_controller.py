@@ -1,7 +1,5 @@
 """A controller in its sandbox that is too slow: out for the rest of the flight, and on the ground no burden either."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field
 from typing import Any

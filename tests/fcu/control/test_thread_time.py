@@ -1,7 +1,5 @@
 """The time of a thread, as another sees it: it waits, or it runs."""
 
-from __future__ import annotations
-
 import hashlib
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The watchdog: it trips once when the loop hangs, never before the loop has begun. It counts looks, not time."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import sys

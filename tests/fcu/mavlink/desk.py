@@ -1,7 +1,5 @@
 """The commander's services before a real commander and control loop, with a flight code of two lines; no I/O."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping
 from typing import Any
 

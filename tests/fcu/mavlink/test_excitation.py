@@ -1,7 +1,5 @@
 """Excitations over MAVLink: pieces in any order, a start at a tick, the state told at each change, rubbish refused."""
 
-from __future__ import annotations
-
 import json
 import random
 import zlib

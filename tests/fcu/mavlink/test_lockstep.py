@@ -1,7 +1,5 @@
 """Lease, grants and resets over MAVLink: who may, how far time runs, and what every refusal answers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

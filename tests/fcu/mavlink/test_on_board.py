@@ -1,7 +1,5 @@
 """The services in front of the real commander, store and flight code, in lockstep on the virtual rig, over mem://."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable

@@ -1,7 +1,5 @@
 """Controllers that are uploaded: nobody arms while they are built, and only what flies is found after a restart."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

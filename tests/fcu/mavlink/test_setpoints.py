@@ -1,7 +1,5 @@
 """Set-points over MAVLink: masks as PX4 reads them, scheduled in lockstep, refused with words, and never by rubbish."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

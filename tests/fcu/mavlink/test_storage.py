@@ -1,7 +1,5 @@
 """Storing: command 245 with an answer that is true, work beside the control loop, trouble of the disk told once."""
 
-from __future__ import annotations
-
 import errno
 import os
 import threading

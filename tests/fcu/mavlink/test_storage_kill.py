@@ -1,7 +1,5 @@
 """Command 245 is acknowledged when it is true: `twodof fcu` as a process, killed with -9 right after the answer."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Durability: a folder is synced after each change that is reported as done."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """User controllers that are tuned while they fly: at one tick, with what `prepare` derives; what is kept of it."""
 
-from __future__ import annotations
-
 import math
 import time
 from pathlib import Path

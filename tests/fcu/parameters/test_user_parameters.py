@@ -1,7 +1,5 @@
 """Parameters of user controllers: named as in their PX4 module, of the wire's types, exact at their defaults."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

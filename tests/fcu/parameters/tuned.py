@@ -1,7 +1,5 @@
 """User controllers with parameters of all kinds, for tests of what can be tuned."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Specification of the failsafe's blocks, written a second time with plain ifs, and the cases to try them in."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A block's recorded expressions on whole arrays of cases at once, and mutants of them."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any

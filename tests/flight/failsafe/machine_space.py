@@ -1,7 +1,5 @@
 """State space of the failsafe's state machine, its specification written a second time, and its properties."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The failsafe as a whole: ports, hostile inputs in many instances, and its cost on the processor."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Thresholds, limits, gate and reasons: at and beside every threshold what is meant, and every mutant is seen."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The failsafe's state machine and timers, explored whole: every state, every count, every vector of flags."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A block with its states as inputs and outputs: the compiled C of one step, on any state, case after case."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Laws of the starters: stock loops to the bit, anti-windup, notch, mixer and LQR."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every starter diagram: fits its template, is data with the same bits, carries its layout and bounded parameters."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

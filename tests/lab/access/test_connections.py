@@ -1,7 +1,5 @@
 """Connections: time limits, and places by role that nobody without a token can take."""
 
-from __future__ import annotations
-
 import http.client
 import select
 import socket

@@ -1,7 +1,5 @@
 """Access to the server by host, origin, token, role and size on every route, and the page."""
 
-from __future__ import annotations
-
 import re
 import socket
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 The watcher's token comes in the environment. A line on standard output says that the attack is under way.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """Attacks on the server of `twodof up`: kills get through, and the client that commands flies and tunes."""
 
-from __future__ import annotations
-
 import http.client
 import os
 import signal

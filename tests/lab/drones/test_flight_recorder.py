@@ -1,7 +1,5 @@
 """The recorder of flights, with a drone by script on virtual time: what it says of the file that it writes."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

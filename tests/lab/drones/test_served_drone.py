@@ -1,7 +1,5 @@
 """Drone of the page: rows to the bit, commands, a script beside it, recordings, and leaving."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Iterator

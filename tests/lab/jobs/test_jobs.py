@@ -1,7 +1,5 @@
 """Jobs run beside the server, say how far they are, end when they are told to, and fail without harming it."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import os

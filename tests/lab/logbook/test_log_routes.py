@@ -1,7 +1,5 @@
 """The routes of logs: what was flown is told, hostile names and files change nothing, deleting can be undone."""
 
-from __future__ import annotations
-
 import base64
 import errno
 import io

@@ -1,7 +1,5 @@
 """Web sockets that ask for too much, or leave without a word: others go on hearing the drone."""
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Rows of telemetry for programs without a web socket: a request takes the samples of the next moment."""
 
-from __future__ import annotations
-
 import json
 import urllib.error
 from collections.abc import Iterator

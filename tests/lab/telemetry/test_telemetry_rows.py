@@ -1,7 +1,5 @@
 """Rows of telemetry: joined by tick, decimated to their extremes, and bounded for a slow client."""
 
-from __future__ import annotations
-
 import asyncio
 
 import numpy as np

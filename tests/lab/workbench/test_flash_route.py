@@ -1,7 +1,5 @@
 """Flashing over the API: rehearsed for this drone and confirmed, or not at all."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """The server compiles the virtual rig when it starts; a preview during that asks to come again."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import Callable

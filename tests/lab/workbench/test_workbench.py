@@ -1,7 +1,5 @@
 """The workbench: what it is asked is done in its turn, and ended when it takes too long or nobody waits for it."""
 
-from __future__ import annotations
-
 import asyncio
 import io
 import os

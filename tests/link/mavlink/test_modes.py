@@ -1,7 +1,5 @@
 """Modes and set-points: PX4's numbers, and what goes out comes back."""
 
-from __future__ import annotations
-
 import pytest
 
 from twodof.errors import LinkError

@@ -1,7 +1,5 @@
 """Floods over UDP: other senders are heard, a kill from any sender passes, and a refusal ends."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 import select

@@ -1,7 +1,5 @@
 """Whatever comes over a link, the program that reads it gets on with its other work, and nobody waits behind others."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """A plot of a flight: what it shows of a log, and that it is drawn into each kind of file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

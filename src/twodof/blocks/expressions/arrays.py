@@ -3,8 +3,6 @@
 The same code computes on numbers and records nodes, so that the order of roundings is the same for both.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar

@@ -5,8 +5,6 @@ real, float32 and float64 are numpy's (one IEEE rounding after each operation), 
 and `UInt16` compute as `Int32`. A `Vector` is a fixed-length array whose dynamic index is clamped.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager

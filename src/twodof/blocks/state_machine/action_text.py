@@ -3,8 +3,6 @@
 A text has names, numbers, arithmetic, comparisons, and/or/not, `a if b else c`, and calls of the language's functions.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import operator

@@ -1,7 +1,5 @@
 """Functions of C and their listing, in which each line has the block to which it belongs."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The first switch takes a transition, the second has the `during` actions of each
 and change in place, in the order of the actions, as only the machine reads them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 

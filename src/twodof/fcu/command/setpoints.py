@@ -1,7 +1,5 @@
 """Set-points of messages and sticks: which ones act in which mode, and which one flies in each tick."""
 
-from __future__ import annotations
-
 from bisect import insort
 from collections.abc import Mapping
 from operator import itemgetter

@@ -1,7 +1,5 @@
 """Table of one drone's parameters, kept up to date by its messages."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Pilot of a drone for all clients together, and the recorder of its flights."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress

@@ -1,7 +1,5 @@
 """Source of one drone's telemetry rows for the feeds of web sockets."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable
 from contextlib import AsyncExitStack, suppress

@@ -1,7 +1,5 @@
 """Commands to a drone, and its excitations. The server takes the lease with the first command; a kill needs none."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType

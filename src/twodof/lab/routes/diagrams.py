@@ -1,7 +1,5 @@
 """Routes of diagrams, which are read, checked, compiled, kept, rehearsed and flashed. They never run in the server."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Routes of identification: experiments, flights, fits, kept models, and controllers designed for them."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import multiprocessing

@@ -3,8 +3,6 @@
 Logs are read in a process of their own, each request within a time limit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal, get_args

@@ -1,7 +1,5 @@
 """Routes of parameters: changes and undo, files and snapshots, and previews on a model."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Routes of a client's session: drones, jobs, the web socket, and plots saved as files."""
 
-from __future__ import annotations
-
 import asyncio
 from contextlib import suppress
 from pathlib import Path as FilePath
