@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from enum import IntEnum
 from itertools import islice
+from math import isfinite
 from numbers import Integral, Real
 from sys import float_info
 from typing import Any
@@ -53,6 +54,17 @@ def is_number(value: Any, low: float = -float_info.max, high: float = float_info
     """
     is_of_kind = isinstance(value, Integral if whole else Real) and not isinstance(value, bool)
     return is_of_kind and bool(low <= value <= high)
+
+
+def finite(value: Any) -> Any:
+    """Return a value as JSON holds it: None for NaN and infinity, lists for numpy's arrays, text for keys."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def printable(text: object) -> str:

@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twodof.errors import ExperimentError, LogError, is_number
+from twodof.errors import ExperimentError, LogError, finite, is_number
 from twodof.flightlog.atomic import refused_places, sync_folder
 
 _TRIES = 1000
@@ -102,7 +102,7 @@ MAX_ROW_BYTES = 1 << 14
 def row_line(row: Mapping[str, Any]) -> bytes:
     """Return a row as its line in the file; NaN and infinity are null. Raises ExperimentError for a longer one."""
     try:
-        line = json.dumps(_plain(row), allow_nan=False).encode() + b"\n"
+        line = json.dumps(finite(row), allow_nan=False).encode() + b"\n"
     except TypeError as reason:
         remedy = "return numbers, text, lists and dicts"
         raise ExperimentError(f"the figures of a run are not JSON: {reason}", "campaign", remedy) from reason
@@ -110,17 +110,6 @@ def row_line(row: Mapping[str, Any]) -> bytes:
         what = f"a row of {len(line)} bytes is too long"
         raise ExperimentError(what, "campaign", f"return figures, at most {MAX_ROW_BYTES} bytes, and no signals")
     return line
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with Python's numbers in place of numpy's, and None for NaN and infinity."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class RowFile:

@@ -1,7 +1,6 @@
 """Output of commands: JSON for machines on stdout, tables for people on stdout, progress and errors on stderr."""
 
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -15,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from twodof.errors import TwodofError, printable
+from twodof.errors import TwodofError, finite, printable
 
 
 def print_json(document: Any, indent: int | None = 2) -> bool:
@@ -24,7 +23,7 @@ def print_json(document: Any, indent: int | None = 2) -> bool:
     `indent` None writes one line, for a reader that follows the running program. Returns False if the reader has left.
     """
     try:
-        sys.stdout.write(json.dumps(_plain(document), indent=indent, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(finite(document), indent=indent, allow_nan=False) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         reader_has_left()
@@ -111,16 +110,6 @@ class _TableConsole(_PlainConsole):
     def on_broken_pipe(self) -> None:
         self.quiet = True
         reader_has_left()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return value
 
 
 def print_error(error: TwodofError) -> None:

@@ -19,7 +19,7 @@ from twodof.design.sampled_controller import SampledController
 from twodof.design.specification import Requirement, Specification, check
 from twodof.design.state_feedback import lqg_attitude
 from twodof.design.tuning_preview import SETTLED
-from twodof.errors import ParameterError, is_number, shown
+from twodof.errors import ParameterError, finite, is_number, shown
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.models.lti import step_figures
 from twodof.models.plant import PitchRate
@@ -66,8 +66,7 @@ class SaturatedStep:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data; an infinite time is null."""
-        plain = {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
-        return {**plain, "winds_up": self.winds_up}
+        return {**finite(vars(self)), "winds_up": self.winds_up}
 
 
 def acting_moment(moment: float, thrust: float = HOVER) -> float:

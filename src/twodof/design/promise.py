@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import TILT_WALK, PitchLoop
 from twodof.design.sampled_controller import SampledController
-from twodof.errors import ParameterError, is_number, shown
+from twodof.errors import ParameterError, finite, is_number, shown
 from twodof.flightlog.events import steps_by
 from twodof.flightlog.log import FlightLog
 from twodof.models.lti import rise_times
@@ -89,6 +89,10 @@ _LEAST_MEMBERS, _MOST_MEMBERS = 40, 20_000
 _MOST_SAMPLES = 100_000
 
 _TIMES = {"rise_time": (1.0, "s"), "overshoot": (100.0, "%"), "settled_error": (100.0, "%")}
+
+
+SIDES = ("low", "middle", "high")
+"""Parts of a promised band."""
 
 
 @dataclass(frozen=True)
@@ -241,8 +245,8 @@ class Verdict:
             "figures": {
                 name: {
                     "kept": self.kept(name),
-                    "promised": [_finite(v) for v in self.steps[0].promised[name]],
-                    "measured": [_finite(step.figures[name]) for step in self.steps],
+                    "promised": finite(self.steps[0].promised[name]),
+                    "measured": finite([step.figures[name] for step in self.steps]),
                 }
                 for name in self.steps[0].figures
             },
@@ -377,7 +381,7 @@ class Promise:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data, which `from_json` reads back; an infinite figure is null."""
-        sides = {"low": self.low, "middle": self.middle, "high": self.high}
+        sides = {side: getattr(self, side) for side in SIDES}
         kept = ("controller", "loop", "goal", "level", "members", "seed", "failed")
         return {
             "promise": 1,
@@ -388,7 +392,7 @@ class Promise:
                 name: {side: [float(f"{v:.6g}") for v in rows[name]] for side, rows in sides.items()}
                 for name in self.step.channels
             },
-            "figures": {name: dict(zip(sides, map(_finite, row), strict=True)) for name, row in self.figures.items()},
+            "figures": {name: dict(zip(sides, finite(row), strict=True)) for name, row in self.figures.items()},
         }
 
     @classmethod
@@ -518,13 +522,9 @@ def check_numbers(duration: float, level: float, members: int, among: tuple[int,
 
 def _row(given: Mapping[str, float | None] | Sequence[float | None]) -> tuple[float, float, float]:
     """Return (low, middle, high) of a figure in a promise file."""
-    ends = [given[side] for side in ("low", "middle", "high")] if isinstance(given, Mapping) else list(given)
+    ends = [given[side] for side in SIDES] if isinstance(given, Mapping) else list(given)
     low, middle, high = (math.inf if value is None else float(value) for value in ends)
     return low, middle, high
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _error(what: str, remedy: str) -> ParameterError:

@@ -16,6 +16,7 @@ from twodof.design.margins import DiskMargin, margins
 from twodof.design.pitch_family import PARAMETERS, PitchFamily, PitchMembers
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.sampled_controller import SampledController
+from twodof.errors import finite
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
@@ -76,19 +77,13 @@ class Robustness:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data; a gain margin that is infinite is null."""
-        decibels = _decibels(self.margin)
+        own = ("robust", "unstable", "members", "region", "radius", "worst")
         return {
-            "robust": self.robust,
-            "unstable": self.unstable,
-            "members": self.members,
-            "region": self.region,
-            "radius": self.radius,
-            "worst": dict(self.worst),
+            **{name: finite(getattr(self, name)) for name in own},
             "disk_margin": self.margin.alpha,
-            "disk_margin_db": decibels if math.isfinite(decibels) else None,
+            "disk_margin_db": finite(_decibels(self.margin)),
             "disk_margin_deg": math.degrees(self.margin.phase),
-            "swing": self.swing,
-            "growth": self.growth,
+            **{name: getattr(self, name) for name in ("swing", "growth")},
         }
 
 

@@ -15,7 +15,7 @@ from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.promise import STEPS, Promise
 from twodof.design.sampled_controller import SampledController
-from twodof.errors import LogError, ParameterError, is_number, listed, nearest, shown
+from twodof.errors import LogError, ParameterError, finite, is_number, listed, nearest, shown
 from twodof.flightlog.provenance import read_bytes, text_of
 
 MAX_BYTES = 1 << 20
@@ -191,7 +191,7 @@ class Requirement:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data."""
-        return {**vars(self), "got": self.got if math.isfinite(self.got) else None, "met": self.met}
+        return {**finite(vars(self)), "met": self.met}
 
 
 def check(

@@ -17,6 +17,7 @@ from twodof.design.promise import (
     CHANNELS,
     GOAL,
     LEVEL,
+    SIDES,
     Promise,
     bounded,
     interval,
@@ -26,7 +27,7 @@ from twodof.design.promise import (
 )
 from twodof.design.robustness import Robustness, robustness
 from twodof.design.sampled_controller import SampledController
-from twodof.errors import ParameterError
+from twodof.errors import ParameterError, finite
 from twodof.flight.gains import Gains
 from twodof.flight.templates import ATTITUDE
 from twodof.signals import PERIOD
@@ -72,16 +73,10 @@ class TuningPreview:
             "goal": self.goal,
             "level": self.level,
             "members": self.members,
-            "loops": {name: _plain(_told(loop)) for name, loop in self.loops.items()},
+            "loops": {name: finite(_told(loop)) for name, loop in self.loops.items()},
             "time": _rounded(self.time),
-            "bands": {
-                name: {side: _rounded(getattr(self, side)[name]) for side in ("low", "middle", "high")}
-                for name in CHANNELS
-            },
-            "figures": {
-                name: _plain(dict(zip(("low", "middle", "high"), row, strict=True)))
-                for name, row in self.figures.items()
-            },
+            "bands": {name: {side: _rounded(getattr(self, side)[name]) for side in SIDES} for name in CHANNELS},
+            "figures": {name: finite(dict(zip(SIDES, row, strict=True))) for name, row in self.figures.items()},
             "verdict": {**self.verdict.to_json(), "text": self.verdict.text},
         }
 
@@ -144,10 +139,6 @@ def _told(loop: LoopMargins) -> dict[str, Any]:
     """Return the part of `LoopMargins.to_json` that the page shows."""
     kept = loop.to_json()
     return {name: value for name, value in kept.items() if name not in ("gain_crossings", "phase_crossings", "poles")}
-
-
-def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
 def _rounded(values: Array) -> list[float]:
@@ -213,7 +204,7 @@ class PitchLaw:
     def step(self, family: PitchFamily, goal: float) -> dict[str, Any]:
         """Return the band of a step of theta by `goal` [rad] alone, of fewer members, without margins and verdict."""
         theta = bounded(simulated_steps(self.controller, family, goal, members=QUICK)[1]["theta"])
-        sides = zip(("low", "middle", "high"), step_bands({"theta": theta}, LEVEL), strict=True)
+        sides = zip(SIDES, step_bands({"theta": theta}, LEVEL), strict=True)
         band = {side: _rounded(_cut(rows)["theta"]) for side, rows in sides}
         time = np.arange(len(theta), dtype=np.float64) * PERIOD
         return {"goal": goal, "level": LEVEL, "time": _rounded(time), "bands": {"theta": band}}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
-from twodof.errors import IdentificationError, listed
+from twodof.errors import IdentificationError, finite, listed
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.validate import Comparison, deviations
 from twodof.models.polynomial import PolynomialModel
@@ -231,39 +231,29 @@ class Estimate:
 
     def to_json(self) -> str:
         """Return everything but the signals as JSON text; NaN is null."""
-        return json.dumps(
-            {
-                "structure": self.structure,
-                "domain": self.domain,
-                "estimates": {
-                    label: {
-                        "value": float(self.values[i]),
-                        "unit": self.units[i],
-                        "sigma": finite(self._deviation(self.covariance, label)),
-                        "sigma_robust": finite(self._deviation(self.robust, label)),
-                        "sigma_quoted": finite(self.sigma(label)),
-                    }
-                    for i, label in enumerate(self.labels)
-                },
-                "sums": {
-                    name: {"value": self[name], "sigma": finite(self.sigma(name)), "parts": list(self.sums[name])}
-                    for name in self.summed
-                },
-                "fixed": self.fixed,
-                "prior": {name: list(one) for name, one in self.prior.items()},
-                "noise": self.noise,
-                "disturbance": self.disturbance.to_json(),
-                "condition_number": self.condition_number,
-                "correlation": [[finite(v) for v in row] for row in self.correlation],
-                "identification": [c.to_json() for c in self.identification],
-                "validation": [c.to_json() for c in self.validation],
-                "converged": self.converged,
-                "iterations": self.iterations,
-                "remarks": list(self.remarks),
+        document = {
+            **{name: getattr(self, name) for name in ("structure", "domain")},
+            "estimates": {
+                label: {
+                    "value": self.values[i],
+                    "unit": self.units[i],
+                    "sigma": self._deviation(self.covariance, label),
+                    "sigma_robust": self._deviation(self.robust, label),
+                    "sigma_quoted": self.sigma(label),
+                }
+                for i, label in enumerate(self.labels)
             },
-            indent=2,
-            allow_nan=False,
-        )
+            "sums": {
+                name: {"value": self[name], "sigma": self.sigma(name), "parts": self.sums[name]} for name in self.summed
+            },
+            **{name: getattr(self, name) for name in ("fixed", "prior", "noise")},
+            "disturbance": self.disturbance.to_json(),
+            **{name: getattr(self, name) for name in ("condition_number", "correlation")},
+            "identification": [c.to_json() for c in self.identification],
+            "validation": [c.to_json() for c in self.validation],
+            **{name: getattr(self, name) for name in ("converged", "iterations", "remarks")},
+        }
+        return json.dumps(finite(document), indent=2)
 
     def _places(self, label: str) -> list[int]:
         """Return the place of an unknown among the estimates, or those of the parts of a sum that were estimated."""
@@ -282,11 +272,6 @@ class Estimate:
         # Where not even the covariance with it free is known, that of the other parts is left.
         own = [i for i in places if math.isfinite(covariance[i, i])]
         return math.sqrt(float(covariance[np.ix_(own, own)].sum())) if own else math.nan
-
-
-def finite(value: float) -> float | None:
-    """Return `value` as JSON has it: None for NaN and infinity."""
-    return float(value) if math.isfinite(value) else None
 
 
 def _on_search(found: Estimate) -> Iterator[str]:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError, LogError
+from twodof.errors import IdentificationError, LogError, finite
 from twodof.flightlog.log import FlightLog
 from twodof.identify import simple_pitch, simple_velocity
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.estimate import Estimate, finite
+from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut
 from twodof.identify.ready_made import (
     AUTO,
@@ -105,20 +105,21 @@ class IdentifiedFlight:
         # A value that the method's own checks doubt stands in its text, with the reason.
         sound = self.simple is not None and not self.simple.remarks
         by_hand = getattr(self.simple.model, label, None) if self.simple is not None and sound else None
-        return {
+        row: dict[str, Any] = {
             "name": label,
             "unit": self.structure.unknowns[label].unit if held else found.unit(label),
             "text": self._text(label),
             "value": found.fixed[label] if held else found[label],
-            "sigma": None if held else finite(found.sigma(label)),
+            "sigma": None if held else found.sigma(label),
             "held": held,
-            "low": finite(low),
-            "high": finite(high),
+            "low": low,
+            "high": high,
             "local": label in found.local,
             "sum": label in found.summed,
             "simple": by_hand,
             "truth": self.truth.get(label),
         }
+        return dict(finite(row))
 
     def _text(self, label: str) -> str:
         """Return an unknown's text."""
@@ -231,5 +232,5 @@ def _curve(time: Array, **values: Array) -> dict[str, Any]:
     return {"time": _listed(time[::step]), **{name: _listed(value[::step]) for name, value in values.items()}}
 
 
-def _listed(values: Array) -> list[float | None]:
-    return [finite(float(f"{value:.6g}")) for value in values]
+def _listed(values: Array) -> Any:
+    return finite([float(f"{value:.6g}") for value in values])

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, finite
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.estimate import Estimate, finite
+from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record, check_record
 from twodof.models.polynomial import PolynomialModel
@@ -112,16 +112,12 @@ class Repeated:
     def to_json(self) -> str:
         """Return everything but the signals as JSON text; NaN is null."""
         figures = {
-            label: {
-                "mean": self.mean(label),
-                "spread": self.spread(label).value,
-                "claimed": finite(self.claimed(label)),
-            }
+            label: {"mean": self.mean(label), "spread": self.spread(label).value, "claimed": self.claimed(label)}
             for label in self.labels
         }
         flights = {name: json.loads(one.to_json()) for name, one in zip(self.names, self.estimates, strict=True)}
         document = {"repeated": figures, "flights": flights, "converged": self.converged, "remarks": self.remarks}
-        return json.dumps(document, indent=2, allow_nan=False)
+        return json.dumps(finite(document), indent=2)
 
 
 def repeat(

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.compile.linear.linearize import linearize
-from twodof.errors import IdentificationError, is_number, shown
+from twodof.errors import IdentificationError, finite, is_number, shown
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
 from twodof.identify.disturbance.walk import can_predict, with_measured
-from twodof.identify.estimate import Estimate, finite
+from twodof.identify.estimate import Estimate
 from twodof.identify.polynomial_fit import predict_polynomial
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples, check_record
@@ -149,7 +149,7 @@ class ModelTable:
 
     def to_json(self) -> list[dict[str, object]]:
         """Return the rows as plain values."""
-        return [{**vars(row), "fit_percent": finite(row.fit_percent), "vaf": finite(row.vaf)} for row in self.rows]
+        return [finite(vars(row)) for row in self.rows]
 
 
 def compare(models: Mapping[str, Estimate] | Sequence[Estimate], records: Record | Sequence[Record]) -> ModelTable:

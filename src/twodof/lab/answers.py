@@ -4,11 +4,9 @@ import errno
 import json
 import re
 from collections.abc import Mapping, Sequence
-from math import isfinite
 from types import MappingProxyType
 from typing import Annotated, Any
 
-import numpy as np
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from fastapi.requests import Request
@@ -24,23 +22,9 @@ from twodof.errors import (
     Rejected,
     Timeout,
     TwodofError,
+    finite,
     shown,
 )
-
-
-def finite(value: Any) -> Any:
-    """Return the value with None for each NaN and infinity, and with lists for arrays of numpy."""
-    if isinstance(value, float):  # numpy's float64 is one
-        return float(value) if isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    if isinstance(value, np.ndarray):
-        return finite(value.tolist())
-    if isinstance(value, np.generic):
-        return finite(value.item())
-    return value
 
 
 def dumps(value: Any) -> str:
