@@ -71,5 +71,6 @@ def test_pip_builds_nothing_with_tools_that_are_not_pinned() -> None:
 
 def test_every_node_package_has_a_hash_and_none_an_address() -> None:
     packages = json.loads(LOCK_FILE.read_text())["packages"]
+    assert "node_modules/node-mavlink" in packages
     assert [name for name, row in packages.items() if name and not row.get("integrity", "").startswith("sha512-")] == []
     assert [name for name, row in packages.items() if "resolved" in row] == []

@@ -156,15 +156,11 @@ _OVERSHOOT = 1.25  # the peak of theta - theta_0 that the weight allows at high 
 
 @dataclass(frozen=True, eq=False)
 class HinfCascade:
-    """Gains and their weighted H-infinity `norm`, with its peak at `omega` [rad/s]; up to 1 it keeps every weight.
-
-    `norms` has the norm that was reached from each start.
-    """
+    """Gains and their weighted H-infinity `norm`, with its peak at `omega` [rad/s]; up to 1 it keeps every weight."""
 
     gains: Gains
     norm: float
     omega: float
-    norms: tuple[float, ...]
 
 
 def cascade_hinf(
@@ -192,7 +188,7 @@ def cascade_hinf(
         starts.append(np.array([*gains.rate, gains.attitude]))
     found = structured_hinf(closed, starts, PERIOD, LOW, HIGH, seed, progress)
     kp, ki, kd, attitude = (float(x) for x in found.gains)
-    return HinfCascade(replace(kept, rate=(kp, ki, kd), attitude=attitude), found.norm, found.omega, found.norms)
+    return HinfCascade(replace(kept, rate=(kp, ki, kd), attitude=attitude), found.norm, found.omega)
 
 
 def weighted_cascade(family: PitchFamily, specification: Specification) -> Callable[[Array], tuple[System, System]]:
