@@ -122,7 +122,7 @@ def test_a_table_is_checked_when_it_is_made() -> None:
         with pytest.raises(ParameterError, match=says):
             Parameter(*row, unit="-", text="")
     twice = (Parameter("A", 0, 0, 1, "-", ""), Parameter("B", 0, 0, 1, "-", "", drone="A"))
-    with pytest.raises(ParameterError, match="two parameters have the same name"):
+    with pytest.raises(ParameterError, match="A: two parameters have the same name"):
         ParameterSet(table=twice)
     with pytest.raises(ParameterError, match="no such parameter"):
         ParameterSet()["B"]

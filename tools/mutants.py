@@ -229,6 +229,8 @@ def main() -> int:
     options = arguments.parse_args()
     if bool(options.draw) == bool(options.tests):
         arguments.error("give SOURCE and TESTS, or --draw N")
+    if missing := [test for test in options.tests if not Path(test.partition("::")[0]).exists()]:
+        arguments.error(f"there are no such tests: {', '.join(missing)}")
     source = (ROOT / "src" / "twodof") if options.draw else options.source.resolve()
     files = sorted(source.rglob("*.py")) if source.is_dir() else [source]
     chosen, every = drawn(files, options.draw or options.sample, options.seed)

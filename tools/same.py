@@ -464,6 +464,8 @@ def main() -> int:
     parser.add_argument("--against", type=Path, help="a file of before")
     parser.add_argument("--quick", action="store_true", help="fewer targets")
     asked = parser.parse_args()
+    if not (asked.out or asked.against):
+        parser.error("give --out FILE before a change, and --against FILE after it")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     before = json.loads(asked.against.read_text(encoding="utf-8")) if asked.against else None
     after = record(before, asked.quick)

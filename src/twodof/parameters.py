@@ -10,6 +10,7 @@ it has them.
 """
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
@@ -45,9 +46,10 @@ class Parameter:
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= NAME_LENGTH or not self.name.isascii():
-            raise ParameterError(f"a name has 1 to {NAME_LENGTH} ASCII characters", self.name)
+            remedy = "shorten it: MAVLink has no more room"
+            raise ParameterError(f"a name has 1 to {NAME_LENGTH} ASCII characters", self.name, remedy)
         if not all(isfinite(bound) for bound in (self.low, self.default, self.high)):
-            raise ParameterError("default and bounds must be finite", self.name)
+            raise ParameterError("default and bounds must be finite", self.name, "give a number for each")
         if not self.low <= self.default <= self.high:
             raise ParameterError(f"default {self.default:g} is outside {self.low:g} to {self.high:g}", self.name)
         whole = all(float(number).is_integer() for number in (self.low, self.default, self.high))
@@ -275,8 +277,10 @@ class ParameterSet(Mapping[str, float]):
         """Take the defaults of `table`, then change them to `values`. Raises ParameterError as `update` does."""
         self._rows = {row.name: row for row in table}
         self._alias = {row.drone: row.name for row in table if row.drone}
-        if len(self._rows) != len(table) or len({*self._rows, *self._alias}) != len(table) + len(self._alias):
-            raise ParameterError("two parameters have the same name", ", ".join(row.name for row in table))
+        counts = Counter(name for row in table for name in (row.name, row.drone) if name)
+        if twice := [name for name, count in counts.items() if count > 1]:
+            what = "two parameters have the same name"
+            raise ParameterError(what, ", ".join(twice), "give one of them another name")
         self._values: Mapping[str, float] = {row.name: row.kept(row.default) for row in table}
         self._values = {**self._values, **self._checked(values or {})}
         self.revision = 0
