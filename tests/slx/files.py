@@ -143,7 +143,7 @@ Stateflow {
   }
   state {
     id                            3
-    chart                    2
+    treeNode                    [2 0 0 0]
     labelString                    "eML_blk_kernel()"
     eml {
       script                      "function y = f(u)\ny = "

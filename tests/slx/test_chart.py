@@ -1,9 +1,11 @@
 """Stateflow charts: sequences derived by hand from Stateflow's rules, each action written into a log of digits."""
 
+import itertools
 import math
 import random
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -53,8 +55,10 @@ def data(name: str, scope: str, kind: str = "double", initial: str = "", size: s
     return f'<data SSID="9{len(name)}" name="{name}">{typed}{props}</data>'
 
 
-def chart(folder: Path, parts: str, *extra: str, settings: str = "", outputs: tuple[str, ...] = ("log",)) -> Imported:
-    """Import a model with a chart of the inputs u and v and these outputs."""
+def chart(
+    folder: Path, parts: str, *extra: str, settings: str = "", outputs: tuple[str, ...] = ("log",), braces: bool = False
+) -> Imported:
+    """Import a model with a chart of the inputs u and v and these outputs. `braces`: as in a .mdl of braces."""
     names = ["u", "v"]
     inner: Blocks = [("Inport", name, {"Port": str(k)}) for k, name in enumerate(names, start=1)]
     inner += [("Outport", name, {"Port": str(k)}) for k, name in enumerate(outputs, start=1)]
@@ -70,11 +74,26 @@ def chart(folder: Path, parts: str, *extra: str, settings: str = "", outputs: tu
     if "saturate" not in settings:
         head += '<P Name="saturateOnIntegerOverflow">1</P>'
     body = f'<chart id="9">{head}{settings}<Children>{parts}{"".join(held)}</Children></chart>'
-    files = {
-        **model(blocks, lines),
-        "simulink/stateflow/chart_9.xml": body,
-    }
+    part = {"simulink/stateflow.xml": beside(body)} if braces else {"simulink/stateflow/chart_9.xml": body}
+    files = {**model(blocks, lines), **part}
     return import_system(read_model(slx(files, folder / "m.slx")), dt=DT)
+
+
+def beside(body: str) -> str:
+    """The parts of a chart beside each other, as in a .mdl of braces: each has the number of what it is inside."""
+    made, parts, count = "", [(ElementTree.fromstring(body), "0")], itertools.count(100)
+    for part, within in parts:
+        number = str(next(count)) if part.tag in ("chart", "data") else part.attrib["SSID"]
+        for held in part.findall("Children"):
+            parts += [(one, number) for one in held]
+            part.remove(held)
+        for end in (*part.iterfind("src/P"), *part.iterfind("dst/P")):
+            end.set("Name", "id")
+        for name, text in {"id": number, "linkNode": f"[{within} 0 0]", "name": part.get("name", "chart")}.items():
+            ElementTree.SubElement(part, "P", Name=name).text = text
+        part.attrib.clear()
+        made += ElementTree.tostring(part, "unicode")
+    return f"<Stateflow>{made}</Stateflow>"
 
 
 def flown(found: Imported, u: list[float], v: list[float] | None = None) -> dict[str, np.ndarray]:
@@ -110,7 +129,8 @@ NESTED = [
 ]
 
 
-def test_nested_states_act_in_stateflows_order(tmp_path: Path) -> None:
+@pytest.mark.parametrize("braces", [False, True])
+def test_nested_states_act_in_stateflows_order(tmp_path: Path, braces: bool) -> None:
     ticks = [
         (1.0, 0.0, "1"),  # the default transition only, though u > 0 and A has a during action
         (0.0, 0.0, "2"),
@@ -122,7 +142,7 @@ def test_nested_states_act_in_stateflows_order(tmp_path: Path) -> None:
         (1.0, 0.0, "83947"),
         (-1.0, 0.0, "961"),  # from the inside out
     ]
-    assert_log(chart(tmp_path, "".join(NESTED)), ticks)
+    assert_log(chart(tmp_path, "".join(NESTED), braces=braces), ticks)
 
 
 def test_a_call_of_a_subsystem_is_true_in_its_tick(tmp_path: Path) -> None:

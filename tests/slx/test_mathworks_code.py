@@ -637,6 +637,7 @@ BLOCKS = {
                             "Signal_Conversion_Copy"),
     "kohei-y/Signal_Rout": ("Merge",),
     "ts1413/Math_Operations": ("Product_of_Elements", "Sum_of_elements", "Trigonometric_Function"),
+    "ts1413/Stateflow": ("Chart",),
     "yamasefu/CommonUsedBlocks": ("DataTypeConversion1", "DataTypeConversion2", "Gain1", "Product1",
                                   "Product2", "RelationalOperator", "Saturation", "Sum1", "Sum2", "Switch",
                                   "Unit_Delay"),
@@ -650,7 +651,7 @@ BLOCKS = {
 def test_a_block_has_the_bits_of_mathworks_c(tmp_path: Path, folder: str, name: str) -> None:
     """2,000 steps of the output; faster functions of a model with several rates come first, as in its main program."""
     at = taken(SUITE, "d883906", f"S2B-Q/test-cases/{folder}", tmp_path / "c")
-    model, c = read_model(at / f"{name}.slx"), at / f"{name}_ert_rtw"
+    model, c = read_model(next(at.glob(f"{name}.[sm][ld][xl]"))), at / f"{name}_ert_rtw"
     text, header = ((c / f"{name}.{end}").read_text("utf-8", "replace") for end in "ch")
     assert re.search(rf"Model version\s*: {model.version}$", text, re.MULTILINE)
     found = import_system(model, otherwise=0.1)

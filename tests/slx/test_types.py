@@ -578,6 +578,47 @@ def test_a_loop_of_truths_is_one_of_truths(tmp_path: Path) -> None:
     assert np.array_equal(found["y"], np.arange(200) >= 50)
 
 
+def function(name: str, code: str, output: str = "", said: str = "Inherit: Same as Simulink") -> str:
+    """The XML of a MATLAB Function, whose output may have a declared type."""
+    data = f'<data SSID="2" name="{output}"><P Name="scope">OUTPUT_DATA</P><P Name="dataType">{said}</P></data>'
+    script = f'<state SSID="1"><eml><P Name="script">{code}</P></eml></state>'
+    head = f'<P Name="name">{name}</P><P Name="type">EML_CHART</P>'
+    return f'<chart id="9">{head}<Children>{script}{data}</Children></chart>'
+
+
+def test_a_bus_goes_round_a_loop_of_a_memory_and_functions(tmp_path: Path) -> None:
+    """The functions declare the buses that they give; two names differ in a space at the end."""
+    ports: list = [("Inport", "b", {}), ("Outport", "r", {})]
+    kind = {"SFBlockType": "MATLAB Function", "Ports": "[1, 1]"}
+    blocks = [("Memory", "z", {}), ("SubSystem", "f", kind, (ports, [])), ("SubSystem", "f ", kind, (ports, [])),
+              ("Outport", "y", {"OutDataTypeStr": "Bus: Rates"})]  # fmt: skip
+    lines = [("z", "f"), ("f", "f "), ("f ", "z"), ("f ", "y")]
+    first = "function r = one(b)\nr = b; r.p = b.p + 1;"
+    second = "function r = two(b)\nr = b; r.axes = b.axes + b.p * [1; 2; 3]; r.on = b.p > 3;"
+    parts = {f"simulink/stateflow/chart_{n}.xml": function(name, code.replace(">", "&gt;"), "r", "Bus: Rates")
+             for n, (name, code) in enumerate([("f", first), ("f ", second)])}  # fmt: skip
+    names: dict[str, object] = {}
+    assert run(BUSES, names) == []
+    path = slx({**model(blocks, lines), **parts}, tmp_path / "m.slx")
+    found = flown(import_system(read_model(path), "", names, [], DT), {}, 5)
+    assert found["y.p"].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert found["y.axes"][:, 2].tolist() == [3.0, 9.0, 18.0, 30.0, 45.0]
+    assert found["y.on"].tolist() == [False, False, False, True, True]
+
+
+def test_a_port_of_a_whole_bus_takes_the_type_that_is_declared_behind_it(tmp_path: Path) -> None:
+    element = {"InterfaceIsComposite": "1", "InterfacePortName": "rates", "InterfaceElement": ""}
+    inside: tuple = (
+        [("Inport", "in", {"OutDataTypeStr": "Bus: Rates"}), ("BusSelector", "s", {"OutputSignals": "axes"}),
+         ("Outport", "out", {})], [("in", "s"), ("s", "out")]
+    )  # fmt: skip
+    blocks = [("Inport", "a", element), ("SubSystem", "part", {"Ports": "[1, 1]"}, inside), ("Outport", "y", {})]
+    found = imported(tmp_path, blocks, [("a", "part"), ("part", "y")])
+    axes = np.random.default_rng(3).normal(0.0, 1.0, (200, 3))
+    got = flown(found, {"rates.p": np.zeros(200), "rates.axes": axes, "rates.on": np.zeros(200, bool)})["y"]
+    assert np.array_equal(got, axes)
+
+
 def test_a_loop_through_a_matrix_is_as_wide_as_its_columns(tmp_path: Path) -> None:
     blocks = [
         ("Integrator", "x", {"InitialCondition": "1"}),

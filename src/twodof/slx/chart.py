@@ -193,12 +193,8 @@ class _Chart:
             if part["tag"] == "state" and values.get("isNoteBox", "0") != "1":
                 self._read_state(part, parent, depth)
             elif part["tag"] == "transition":
-                way = _Way(
-                    values.get("src/SSID", ""),
-                    values.get("dst/SSID", ""),
-                    parent,
-                    int(values.get("executionOrder", "1")),
-                )
+                source, target = (values.get(f"{end}/SSID", values.get(f"{end}/id", "")) for end in ("src", "dst"))
+                way = _Way(source, target, parent, int(values.get("executionOrder", "1")))
                 way.condition, way.action, way.at_end, way.events = label_of(values.get("labelString", ""))
                 parent.ways.append(way)
             elif part["tag"] == "junction":
@@ -646,7 +642,7 @@ def _check_overflow(chart: SimulinkChart, item: MatlabFunction) -> None:
         raise NotTranslated("its integers wrap around: let it saturate on integer overflow")
 
 
-def _buses(chart: SimulinkChart, names: Mapping[str, Value]) -> dict[str, Bus]:
+def declared_buses(chart: SimulinkChart, names: Mapping[str, Value]) -> dict[str, Bus]:
     """Return the buses that outputs of a MATLAB Function are declared to be."""
     inside = [one for one in (chart.form or {}).get("inside", []) if one["tag"] == "data"]
     outputs = {one["name"]: one["values"] for one in inside if one["values"].get("scope") == "OUTPUT_DATA"}
@@ -672,7 +668,8 @@ def function_rule(chart: SimulinkChart | None) -> Rule:
         if inner.blocks and not outputs:
             return Made(None, [])
         if chart.function:
-            item = MatlabFunction(chart.text, c.inputs, c.names, inputs, None, c.folders, _buses(chart, c.names))
+            buses = declared_buses(chart, c.names)
+            item = MatlabFunction(chart.text, c.inputs, c.names, inputs, None, c.folders, buses)
         elif chart.form is None or len(inputs) != len(c.inputs):
             raise NotTranslated("its chart is not read from this form of file")
         else:

@@ -4,11 +4,12 @@ A block without a sample time of its own takes the fastest one of its inputs, as
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import reduce
 from math import gcd, lcm
+from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Activation
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.program import IN_BASE, evaluate
 from twodof.slx.matlab.values import NotComputed, Value, number
-from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, port_number
+from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, one_spaced, port_number
 from twodof.slx.network import Iteration
 from twodof.slx.sheet import Sheet
 from twodof.slx.translation import Made, NotTranslated, Signal
@@ -110,7 +111,7 @@ class Connections:
     """The sheets of a model by path, their blocks by path and identifier, and what was found of them so far."""
 
     def __init__(self, model: Model, path: str) -> None:
-        self.model, self.path = model, collapsed(path).strip("/")
+        self.model, self.path = model, one_spaced(path).strip("/")
         self.notes = list[str]()
         self.iterated = dict[str, Iteration]()
         """How systems at these paths are iterated."""
@@ -304,3 +305,13 @@ def shared_memory(blocks: Mapping[str, object]) -> Iterator[ReportLine]:
         if shared := sorted(others & {name.removeprefix(IN_BASE) for name in one.kept if name.startswith(IN_BASE)}):
             why = f"{shared[0]} of the base workspace is used by another block, too"
             yield ReportLine(path, "MATLABFcn", "refused", why)
+
+
+def foreign(block: SimulinkBlock, folders: Sequence[Path]) -> str:
+    """Return why a block has no rule: of a function in another language with the file that has its code."""
+    name = collapsed(block.values.get("FunctionName", block.values.get("System", "")))
+    if block.type not in ("S-Function", "M-S-Function", "MATLABSystem"):
+        return f"the block type {block.kind} is not translated"
+    if not any((one / f"{name}.{end}").is_file() for one in folders for end in ("m", "c", "cpp")):
+        return f"the code of the {block.type} {name} is not found: a compiled or protected one is not read"
+    return f"the {block.type} {name} is code of its own: draw it as blocks, or as a MATLAB Function"

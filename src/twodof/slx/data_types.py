@@ -6,6 +6,7 @@ aliases are values of the workspace. An enumeration is the int32 of its members.
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -267,3 +268,11 @@ def bus_parts(c: Asked) -> Made:
 
 BUS_RULES: dict[str, Rule] = {"BusAssignment": _assignment, "BusCreator": _creator, "BusSelector": _selector}
 """Rules of the blocks of buses."""
+
+
+def in_single(signal: Signal) -> Signal:
+    """Return the signal whose doubles are single."""
+    if isinstance(signal.kind, Bus):
+        fields = [in_single(signal_of(one)).port(one.name) for one in signal.kind.fields]
+        return replace(signal, kind=Bus(signal.kind.name, fields))
+    return replace(signal, kind="float32") if signal.kind == "real" else signal

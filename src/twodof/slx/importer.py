@@ -23,22 +23,24 @@ from twodof.errors import DiagramError
 from twodof.slx.arithmetic import with_units
 from twodof.slx.blocks import DROPPED, RULES, carried_out
 from twodof.slx.bus_ports import with_bus_ports, with_each, with_inputs, with_iterated, with_ports, with_recorded
-from twodof.slx.chart import function_rule
+from twodof.slx.chart import declared_buses, function_rule
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED, conditions_of, without_events
 from twodof.slx.connections import (
     CONTINUOUS,
     EVERY_SECOND,
     PASSING,
     STORES,
+    Key,
     Output,
     ReportLine,
     active_choice,
     base_period,
+    foreign,
     inherited,
     shared_memory,
     store_name,
 )
-from twodof.slx.data_types import SINGLE, kind_of, signal_of, sized, value_of
+from twodof.slx.data_types import SINGLE, in_single, kind_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
 from twodof.slx.inspection import OWN_LIBRARIES, library_file
@@ -57,6 +59,7 @@ from twodof.slx.model import (
     below,
     collapsed,
     escaped,
+    one_spaced,
     read_model,
     source_file,
     split_path,
@@ -134,8 +137,8 @@ class _Import(Wiring):
         self.names = {**self._names_of(model), **workspace}
         self.names_of: dict[str, dict[str, Value]] = {}
         self.referenced: dict[str, dict[str, Value]] = {}
-        self.times: dict[tuple[str, str], tuple[float, float]] = {}
-        self.taken: dict[tuple[str, str], str] = {}
+        self.times: dict[Key, tuple[float, float]] = {}
+        self.taken: dict[Key, str] = {}
         """Data types that blocks take from behind, where a pass saw them too late."""
         self.code = {one.path: one for one in model.charts}
 
@@ -201,9 +204,7 @@ class _Import(Wiring):
         run(block.mask.initialization, inner, self.folders)
         return {**names, **inner}
 
-    def _collect(
-        self, path: str, system: System, names: dict[str, Value], owner: tuple[str, str] | None, depth: int = 0
-    ) -> None:
+    def _collect(self, path: str, system: System, names: dict[str, Value], owner: Key | None, depth: int = 0) -> None:
         if depth > 40:
             raise DiagramError("libraries hold each other", f"{self.model.name}/{path}", "break the loop of links")
         recorded = list[SimulinkBlock]()
@@ -242,7 +243,7 @@ class _Import(Wiring):
     def _linked(self, block: SimulinkBlock, at: str) -> SimulinkBlock:
         """Return the block of a library that a link stands for, with what the link gives it; else the block itself."""
         for _ in range(20):
-            library, _, inside = collapsed(block.values.get("SourceBlock", "")).partition("/")
+            library, _, inside = one_spaced(block.values.get("SourceBlock", "")).partition("/")
             if block.type != "Reference" or (library in (*OWN_LIBRARIES, *TOOLBOXES) and block.kind in RULES):
                 return block
             if library in OWN_LIBRARIES:
@@ -376,12 +377,12 @@ class _Import(Wiring):
 
     def _rates(self) -> None:
         """Find the rate of each block: its own, or that of its inputs."""
-        declared: dict[tuple[str, str], Rate] = {}
+        declared: dict[Key, Rate] = {}
         for key, (time, offset) in self.times.items():
             if self.blocks[key].type != "Constant":
                 divider = max(round(time / self.dt), 1)
                 declared[key] = Rate(divider, round(offset / self.dt) % divider)
-        sources: dict[tuple[str, str], set[Output]] = {}
+        sources: dict[Key, set[Output]] = {}
         for key, block in self.blocks.items():
             if block.type in CONTINUOUS:
                 declared[key] = BASE
@@ -399,7 +400,7 @@ class _Import(Wiring):
                 declared[key] = next(iter(fed)) or BASE if len(fed) == 1 else BASE
         self.rates = inherited(declared, feeding)
 
-    def _values(self, key: tuple[str, str]) -> dict[str, str]:
+    def _values(self, key: Key) -> dict[str, str]:
         """Return a block's values as text: those of its file's defaults, its own, and what a link gives."""
         block = self.blocks[key]
         values = {**self.defaults[key[0]].get(block.type, {}), **block.values, **block.instance}
@@ -410,7 +411,7 @@ class _Import(Wiring):
 
     # --- the types of the signals
 
-    def _inport(self, key: tuple[str, str], block: SimulinkBlock) -> None:
+    def _inport(self, key: Key, block: SimulinkBlock) -> None:
         names = self.sheets[key[0]].names
         said = collapsed(block.values.get("OutDataTypeStr", "Inherit: auto"))
         if said.startswith("Inherit") and (wanted := type_declared(self.sheets, *key, self.code)):
@@ -444,7 +445,7 @@ class _Import(Wiring):
     def _infer(self) -> None:
         """Find the types of all signals. In a loop that of a state is guessed, and all found anew if that was wrong."""
         lines, signals, approximated = len(self.report), dict(self.signals), deepcopy(self.approximated)
-        made, guessed = dict(self.made), dict[tuple[str, str], Signal]()
+        made, guessed = dict(self.made), dict[Key, Signal]()
         for _ in range(MOST_GUESSES):
             wrong = self._pass(guessed)
             if not wrong:
@@ -454,29 +455,29 @@ class _Import(Wiring):
             self.signals, self.made, self.approximated = dict(signals), dict(made), deepcopy(approximated)
         self._pass(guessed)
 
-    def _pass(self, guessed: Mapping[tuple[str, str], Signal]) -> dict[tuple[str, str], Signal]:
+    def _pass(self, guessed: Mapping[Key, Signal]) -> dict[Key, Signal]:
         """Translate each block when the types of its inputs are known, from the sources on.
 
         Return the types of the states in loops that turned out to be others than `guessed`.
         """
-        waiting: dict[tuple[str, str], set[Output]] = {}
-        behind: dict[Output, list[tuple[str, str]]] = {}
+        waiting: dict[Key, set[Output]] = {}
+        behind: dict[Output, list[Key]] = {}
         for key, block in self.blocks.items():
             if block.type not in PASSING and not self._is_system(block) and not block.commented:
                 self._try(key, partial(self._await, key, waiting))
         for key, origins in waiting.items():
             for origin in origins:
                 behind.setdefault(origin, []).append(key)
-        outputs: dict[tuple[str, str], list[Output]] = {}
+        outputs: dict[Key, list[Output]] = {}
         for origin in behind:
             outputs.setdefault(origin[:2], []).append(origin)
         reached = self.signals.keys() | {origin for origin in behind if origin[:2] in waiting}
         self._leave([origin for origin in behind if origin not in reached], waiting, behind, outputs)
         ready = deque(key for key, origins in waiting.items() if not origins - self.signals.keys())
-        broken, wrong = dict[tuple[str, str], Signal](), dict[tuple[str, str], Signal]()
-        assumed, early = False, list[tuple[str, str]]()
+        broken, wrong = dict[Key, Signal](), dict[Key, Signal]()
+        assumed, early = False, list[Key]()
 
-        def follow(key: tuple[str, str], count: int) -> None:
+        def follow(key: Key, count: int) -> None:
             found = [(*key, k + 1) for k in range(count)]
             after = [one for output in found for one in behind.get(output, []) if one in waiting]
             ready.extend(one for one in after if not waiting[one] - self.signals.keys())
@@ -490,9 +491,7 @@ class _Import(Wiring):
                 made = self.made[key].outputs
                 left = [one for one in outputs.get(key, []) if one not in self.signals]
                 if left and broken.keys() - guessed.keys():  # it may be refused for a wrong guess: go on to see that
-                    like = [] if self.blocks[key].type == "BusSelector" else self._inputs(key)  # not like its bus
-                    known = (self._type(key[0], pin) for pin in like)
-                    self.signals |= dict.fromkeys(left, next((one for one in known if one is not None), Signal()))
+                    self.signals |= self._assumed(key, left)
                     assumed, made = True, [Signal()] * len(left)
                 self._leave([one for one in left if one not in self.signals], waiting, behind, outputs)
                 if key in broken and self.made[key].outputs and not made[0].like(broken[key]):
@@ -506,13 +505,14 @@ class _Import(Wiring):
                 # A block that takes its type from behind may wait for what itself drives.
                 found = next((key for key in waiting if self._backwards(key) and self._known(key)), None)
                 early += [found] if found is not None else []
-                found = found or next((key for key in waiting if self.blocks[key].kind not in RULES), None)
+                found = found or next((key for key in waiting if self.blocks[key].kind not in (*RULES, *CODED)), None)
                 # An element of a bus may hang on another one of the same bus.
                 creators = (key for key in waiting if found is None and self.blocks[key].type == "BusCreator")
                 elements = (
                     one[:2] for key in creators for one in sorted(waiting[key] - self.signals.keys()) if one[2] == 1
                 )
                 loop = next((one for one in elements if one in waiting and one not in broken), None)
+                loop = loop or (self._in_circle(waiting, broken) if found is None else None)  # an algebraic one
                 if loop is None:
                     ready += [found] if found is not None else list(waiting)[:1]
                     continue
@@ -520,17 +520,36 @@ class _Import(Wiring):
             self.signals[*loop, 1] = broken[loop]
             follow(loop, 1)
         if assumed and SINGLE in self.names:  # a double may be there for a block that was refused only
-            wrong = {key: one for key, signal in wrong.items() if not (one := _single(signal)).like(broken[key])}
+            wrong = {key: one for key, signal in wrong.items() if not (one := in_single(signal)).like(broken[key])}
         later = {key: said for key in early if (said := self._wanted(key)) and said != self.taken.get(key)}
         self.taken |= later
         return wrong or (broken if assumed else {}) or dict.fromkeys(later, Signal())
 
+    def _assumed(self, key: Key, left: Sequence[Output]) -> dict[Output, Signal]:
+        """Return the types of outputs that a refused block may have: the buses of its code, or that of an input."""
+        block, code = self.blocks[key], self.code.get(below(key[0], self.blocks[key]))
+        like = [] if block.type == "BusSelector" else self._inputs(key)  # not like its bus
+        known = [one for pin in like if (one := self._type(key[0], pin)) is not None]
+        buses = {} if code is None else declared_buses(code, self.sheets[key[0]].names)
+        ports = block.system.ports("Outport") if block.system is not None else []
+        declared = {(*key, k): Signal(buses[name]) for k, name in enumerate(ports, start=1) if name in buses}
+        return {**dict.fromkeys(left, next(iter(known), Signal())), **declared}
+
+    def _in_circle(self, waiting: Mapping[Key, set[Output]], broken: Mapping[Key, Signal]) -> Key | None:
+        """Return a block with one output, not broken yet, of a circle of blocks that wait for each other."""
+        at, seen = next(iter(waiting), None), list[Key]()
+        while at is not None and at not in seen:
+            seen.append(at)
+            at = next((one[:2] for one in sorted(waiting[at] - self.signals.keys()) if one[:2] in waiting), None)
+        circle = seen[seen.index(at) :] if at is not None else []
+        return next((k for k in circle if k not in broken and (self.blocks[k].ports or (1, 1))[1] == 1), None)
+
     def _leave(
         self,
         left: list[Output],
-        waiting: dict[tuple[str, str], set[Output]],
-        behind: Mapping[Output, list[tuple[str, str]]],
-        outputs: Mapping[tuple[str, str], list[Output]],
+        waiting: dict[Key, set[Output]],
+        behind: Mapping[Output, list[Key]],
+        outputs: Mapping[Key, list[Output]],
     ) -> None:
         """Leave out, as not reached, what hangs on outputs `left` without a type by a block that is refused."""
         while left:
@@ -539,18 +558,13 @@ class _Import(Wiring):
                     self._line(*key, "not reached", "an input hangs on a block that is refused")
                     left += outputs.get(key, [])
 
-    def _guess(
-        self,
-        key: tuple[str, str],
-        waiting: Mapping[tuple[str, str], set[Output]],
-        behind: Mapping[Output, list[tuple[str, str]]],
-    ) -> Signal:
+    def _guess(self, key: Key, waiting: Mapping[Key, set[Output]], behind: Mapping[Output, list[Key]]) -> Signal:
         """Return the type that a state in a loop has by its initial value, or else by what it meets behind it."""
         ends_at = {block.type for _, _, block in ends(self.sheets, key[0], Pin(key[1], "out", 1))}
         bus = bus_wanted(self.sheets, *key, self.code, self.folders) if ends_at <= _BUS_ENDS else None
         real = "float32" if SINGLE in self.names else "real"  # where it is double, the next pass sees it
         if bus is not None:
-            return _single(Signal(bus)) if SINGLE in self.names else Signal(bus)
+            return in_single(Signal(bus)) if SINGLE in self.names else Signal(bus)
         values, said = self._values(key), ""
         if self.blocks[key].type == "DiscreteIntegrator":
             said = collapsed(values.get("OutDataTypeStr", "Inherit"))
@@ -578,25 +592,25 @@ class _Import(Wiring):
                     return Signal(met[0].kind, size if size > 1 else None, shape)
         return Signal(real, size if size > 1 else None, shape)
 
-    def _await(self, key: tuple[str, str], waiting: dict[tuple[str, str], set[Output]]) -> None:
+    def _await(self, key: Key, waiting: dict[Key, set[Output]]) -> None:
         found = {self._origin(key[0], pin) for pin in self._inputs(key)}
         if self._backwards(key):
             beside = {self._origin(*one) for one in siblings(self.sheets, *key)}
             found |= {one for one in beside if one is not None and not self._backwards(one[:2])}
         waiting[key] = {one for one in found if one is not None and one[:2] != key}
 
-    def _known(self, key: tuple[str, str]) -> bool:
+    def _known(self, key: Key) -> bool:
         """Return True if the types of a block's inputs are known."""
         return all(self._type(key[0], pin) is not None for pin in self._inputs(key))
 
-    def _backwards(self, key: tuple[str, str]) -> bool:
+    def _backwards(self, key: Key) -> bool:
         """Return True for a block whose type is that of what is behind it."""
         block = self.blocks[key]
         default = BACKWARDS if block.type in ("DataTypeConversion", "Ground") else ""
         values = self._values(key)
         return values.get("OutDataTypeStr", default) == BACKWARDS and block.kind in RULES
 
-    def _wanted(self, key: tuple[str, str]) -> str:
+    def _wanted(self, key: Key) -> str:
         """Return the data type of what is behind a block: declared, or that of what it meets there; "" without one."""
         declared = type_declared(self.sheets, *key, self.code, lambda at, pin: self._type(at, pin))
         if declared:
@@ -606,7 +620,7 @@ class _Import(Wiring):
         met.sort(key=lambda one: self._backwards(one[:2]))
         return type_text(self.signals[met[0]]) if met else ""
 
-    def _translate(self, key: tuple[str, str]) -> None:
+    def _translate(self, key: Key) -> None:
         """Translate a block; an input whose type is not known yet, in a loop, is taken for a scalar."""
         block, path = self.blocks[key], key[0]
         code = self.code.get(below(path, block))
@@ -615,7 +629,7 @@ class _Import(Wiring):
 
         def translate() -> None:
             if rule is None:
-                raise NotTranslated(self._foreign(block))
+                raise NotTranslated(foreign(block, self.folders))
             pins = self._inputs(key)
             loose = [pin.number for pin in pins if self._origin(path, pin) is None]
             inputs = [
@@ -652,16 +666,7 @@ class _Import(Wiring):
         width = last_index(code.text, pin.number, self.folders) if code.function else 1
         return Signal(kind_of(said, self.names) if said in TYPES else "real", width if width > 1 else None)
 
-    def _foreign(self, block: SimulinkBlock) -> str:
-        """Return why a block has no rule: of a function in another language with the file that has its code."""
-        name = collapsed(block.values.get("FunctionName", block.values.get("System", "")))
-        if block.type not in ("S-Function", "M-S-Function", "MATLABSystem"):
-            return f"the block type {block.kind} is not translated"
-        if not any((one / f"{name}.{end}").is_file() for one in self.folders for end in ("m", "c", "cpp")):
-            return f"the code of the {block.type} {name} is not found: a compiled or protected one is not read"
-        return f"the {block.type} {name} is code of its own: draw it as blocks, or as a MATLAB Function"
-
-    def _store(self, key: tuple[str, str]) -> Rule:
+    def _store(self, key: Key) -> Rule:
         """Return the rule of a block of a data store, whose memory stands on its sheet or on one around it."""
         block, memory = self.blocks[key], self._memory(key)
         name = store_name(block)
@@ -690,11 +695,3 @@ class _Import(Wiring):
             return Made(StoreWrite(safe(f"store_{name}", set()), kind, signal.width), [])
 
         return made
-
-
-def _single(signal: Signal) -> Signal:
-    """Return the signal whose doubles are single."""
-    if isinstance(signal.kind, Bus):
-        fields = [_single(signal_of(one)).port(one.name) for one in signal.kind.fields]
-        return replace(signal, kind=Bus(signal.kind.name, fields))
-    return replace(signal, kind="float32") if signal.kind == "real" else signal

@@ -1,7 +1,7 @@
 """A Simulink model as it stands in its file: systems of blocks and lines, masks, charts, callbacks and solver.
 
 `read_model(path)` reads .slx and .mdl of all releases. Values are the file's MATLAB text: nothing is computed here.
-Names are compared with their white space collapsed, as a name may hold a line break.
+Paths are compared with each run of white space as one space, as a name may hold a line break.
 """
 
 import re
@@ -182,11 +182,11 @@ class Model:
 
     def system(self, path: str) -> System:
         """Return the system at a path; "" is the top. Raises DiagramError if there is none."""
-        wanted = collapsed(path).strip("/")
+        wanted = one_spaced(path).strip("/")
         found = dict(self.root.walk())
         if wanted not in found:
             for at, block in self.blocks():
-                source = block.values.get("ReferencedSubsystem") or collapsed(block.values.get("SourceBlock", ""))
+                source = block.values.get("ReferencedSubsystem") or one_spaced(block.values.get("SourceBlock", ""))
                 if source and f"{wanted}/".startswith(f"{at}/"):
                     what = f"has no subsystem {path}: {at} is a link to {source}"
                     raise DiagramError(what, self.name, "give that file, and the subsystem's path in it")
@@ -210,9 +210,14 @@ def source_file(block: SimulinkBlock) -> str:
     return block.values.get("ReferencedSubsystem", "")
 
 
-def collapsed(name: str) -> str:
-    """Return a name with each run of white space as one space."""
-    return " ".join(name.split())
+def collapsed(text: str) -> str:
+    """Return a text with each run of white space as one space, and none around it."""
+    return " ".join(text.split())
+
+
+def one_spaced(path: str) -> str:
+    """Return a path with each run of white space as one space: two names may differ in a space at the end."""
+    return re.sub(r"\s+", " ", path)
 
 
 def split_path(path: str) -> list[str]:
@@ -227,7 +232,7 @@ def below(path: str, block: SimulinkBlock) -> str:
 
 def escaped(name: str) -> str:
     """Return a name as it stands in a path: Simulink doubles a slash."""
-    return collapsed(name).replace("/", "//")
+    return one_spaced(name).replace("/", "//")
 
 
 def read_model(path: str | Path) -> Model:
@@ -240,7 +245,7 @@ def read_model(path: str | Path) -> Model:
     except LogError as reason:
         remedy = "give a .slx or .mdl file; open a damaged one in Simulink and save it again"
         raise DiagramError(reason.what, reason.where, remedy) from reason
-    charts = [SimulinkChart("/".join(map(collapsed, split_path(path))), *one) for path, *one in plain.pop("charts")]
+    charts = [SimulinkChart(one_spaced(path), *one) for path, *one in plain.pop("charts")]
     model = Model(name=Path(path).stem, root=_system(plain.pop("root")), charts=charts, **plain)
     for _, block in model.blocks():  # a link of a library into itself
         source = block.values.get("SourceBlock", "")

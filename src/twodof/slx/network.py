@@ -14,7 +14,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import State
 from twodof.blocks.diagram import BASE, CONDITIONS, Part
-from twodof.blocks.expressions.arrays import flat_of, fold, vector
+from twodof.blocks.expressions.arrays import flat_of, fold, shape_of, vector
 from twodof.blocks.expressions.expr import convert, int32, where
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.numbers import FLOATS, STORED
@@ -203,10 +203,14 @@ NEAR = 1e-6
 """How near to its solution a loop is, relative to it where it is above 1; otherwise it has none that was found."""
 
 
+LONGEST_CUT = 6
+"""Most elements of an output for which a loop is solved."""
+
+
 class Solved(Joined):
     """An algebraic loop, solved for one output, the `cut`, by Newton's method from `guess`; NaN where that fails.
 
-    The slope is a difference quotient, as Simulink's solver takes it; Simulink ends the simulation where it fails.
+    Slopes are difference quotients, as Simulink's solver takes them; Simulink ends the simulation where it fails.
     """
 
     def __init__(
@@ -225,14 +229,22 @@ class Solved(Joined):
         def distance(z: Any) -> Any:
             return self.anew(self.cut, self.values({self.cut: z}, u, *views), *views) - z
 
-        def turn(i: Any, z: Any) -> tuple[Any]:
-            left, step = distance(z), (abs(z) + 1.0) * 2.0**-12
-            slope = (distance(z + step) - left) / step
-            return (where(left == 0.0, z, z - left / slope),)
+        def turn(i: Any, *z: Any) -> list[Any]:
+            left, steps = _elements(distance(_joined(z))), [(abs(one) + 1.0) * 2.0**-12 for one in z]
+            moved = ([*z[:k], z[k] + step, *z[k + 1 :]] for k, step in enumerate(steps))
+            ahead = [_elements(distance(_joined(one))) for one in moved]
+            rows = [[*((there[r] - left[r]) / step for there, step in zip(ahead, steps, strict=True)), left[r]]
+                    for r in range(len(z))]  # fmt: skip
+            there = left[0] == 0.0
+            for one in left[1:]:
+                there = there & (one == 0.0)
+            return [where(there, one, one - move) for one, move in zip(z, _eliminated(rows), strict=True)]
 
-        (z,) = fold(TURNS, [u.guess], turn)
-        z = where(abs(distance(z)) <= (abs(z) + 1.0) * NEAR, z, float("nan"))
-        return self.values({self.cut: z}, u, *views)
+        z = list(fold(TURNS, _elements(u.guess), turn))
+        left = _elements(distance(_joined(z)))
+        near = [abs(away) <= (abs(one) + 1.0) * NEAR for away, one in zip(left, z, strict=True)]
+        z = [where(is_near, one, float("nan")) for is_near, one in zip(near, z, strict=True)]
+        return self.values({self.cut: _joined(z)}, u, *views)
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         """Solve the loop and compute the outputs that others read."""
@@ -257,6 +269,28 @@ class Solved(Joined):
         return self._moved("project", u, x, p, t)
 
 
+def _elements(value: Any) -> list[Any]:
+    return [value[k] for k in range(len(value))] if shape_of(value) else [value]
+
+
+def _joined(elements: Sequence[Any]) -> Any:
+    return vector(list(elements)) if len(elements) > 1 else elements[0]
+
+
+def _eliminated(rows: list[list[Any]]) -> list[Any]:
+    """Return the solution of a system, each row with its right side at the end, by elimination with pivoting."""
+    for k in range(len(rows)):
+        for r in range(k + 1, len(rows)):
+            pair, swaps = list(zip(rows[k], rows[r], strict=True)), abs(rows[r][k]) > abs(rows[k][k])
+            rows[k], rows[r] = [where(swaps, b, a) for a, b in pair], [where(swaps, a, b) for a, b in pair]
+        pivot = rows[k][k]
+        rows[k] = [one / pivot for one in rows[k]]
+        for r, row in enumerate(rows):
+            if r != k:
+                rows[r] = [one - row[k] * above for one, above in zip(row, rows[k], strict=True)]
+    return [row[-1] for row in rows]
+
+
 def _port(network: Network, key: Key) -> Any:
     if not key[0]:
         return network.root.diagram.inputs[key[1]]
@@ -264,7 +298,7 @@ def _port(network: Network, key: Key) -> Any:
 
 
 def with_solved_loops(diagram: Diagram) -> list[str]:
-    """Put a block that solves it in place of each algebraic loop of one real number. Return a note on each.
+    """Put a block that solves it in place of each algebraic loop of few real numbers. Return a note on each.
 
     A loop that it cannot solve is left as it is. Inner ones come first: others may go through their subsystem.
     """
@@ -294,9 +328,11 @@ def _solve(network: Network, loop: set[Key]) -> str:
         level = level.below[name]
     paths = [n for n in network.nodes if n.startswith(level.prefix) and n[len(level.prefix) :].split(".")[0] in inside]
     diagram, members = level.diagram, set(paths)
-    cuts = [key for key in sorted(loop) if _number(network, key) and _cuts(network, key, loop)]
+    widths = {key: _width(network, key) for key in loop}
+    known = sorted((width, key) for key, width in widths.items() if 0 < width <= LONGEST_CUT)
+    cuts = [key for _, key in known if _cuts(network, key, loop)]
     if not cuts:
-        raise NotTranslated("no single number cuts it")
+        raise NotTranslated(f"no output of at most {LONGEST_CUT} real numbers cuts it")
     if any(other.isdisjoint(loop) and any(path in members for path, _ in other) for other in network.loops()):
         raise NotTranslated("another one goes through the same subsystems")
     given, sources = dict[Key, str](), dict[str, str]()
@@ -336,7 +372,9 @@ def _solve(network: Network, loop: set[Key]) -> str:
     diagram.connections = {end: turned.get(source, source) for end, source in kept.items()}
     diagram.outputs = {end: source and turned.get(source, source) for end, source in diagram.outputs.items()}
     diagram.add(name, block, position=place)
-    diagram.add(f"{name}_guess", UnitDelay(0.0), u=f"{name}.solution")
+    width = widths[cuts[0]]
+    guess = UnitDelay(0.0) if width == 1 else UnitDelay([0.0] * width, "real", width)
+    diagram.add(f"{name}_guess", guess, u=f"{name}.solution")
     for entry, way in {**sources, "guess": f"{name}_guess"}.items():
         diagram.connect(way, f"{name}.{entry}")
     return f"an algebraic loop over {', '.join(sorted(inside))[:80]} is solved by {TURNS} steps of Newton's method"
@@ -354,9 +392,10 @@ def _outside(network: Network, level: NestedDiagram, node: PlacedBlock, port: st
     return source or "", driver
 
 
-def _number(network: Network, key: Key) -> bool:
+def _width(network: Network, key: Key) -> int:
+    """Return how many real numbers an output has; 0 of another type."""
     port = _port(network, key)
-    return bool(port.kind == "real" and port.width is None)
+    return 0 if port.kind != "real" or port.shape else port.width or 1
 
 
 def _cuts(network: Network, cut: Key, loop: set[Key]) -> bool:

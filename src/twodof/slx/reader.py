@@ -28,7 +28,7 @@ def plain_model(data: bytes, where: str) -> Answer:
     model = {
         "kind": top.tag.lower(),
         "release": content.release(top),
-        "version": _value(top, "ComputedModelVersion") or content.property("revision"),
+        "version": _nested(top, "ComputedModelVersion") or content.property("revision"),
         "solver": {name: found for name in SOLVER for s in settings[:1] if (found := _nested(s, name))},
         "callbacks": {name: found for name in CALLBACKS if (found := _value(top, name).strip())},
         "dictionary": _value(top, "DataDictionary"),
@@ -144,18 +144,25 @@ class PackageReader:
 
 
 def _chart(chart: Element, root: Element) -> tuple[str, bool, str, dict[str, Any] | None]:
-    # In a .mdl of braces a chart's states stand beside it and name it by its number.
-    number = _value(chart, "id")
-    own = [s for s in root.iterfind("state") if number and _value(s, "chart") == number]
-    inside = [*chart.iter(), *(one for state in own for one in state.iter())]
-    scripts = [p.text or "" for p in inside if p.tag == "P" and p.get("Name") == "script"]
-    labels = [p.text or "" for p in inside if p.tag == "P" and p.get("Name") == "labelString"]
+    # In a .mdl of braces the parts of a chart stand beside it, and name by a number what they are inside.
+    beside: dict[str, list[Element]] = {}
+    for one in root if _value(chart, "id") else ():
+        if (within := re.match(r"\[(\d+)", _value(one, "treeNode") or _value(one, "linkNode"))) is not None:
+            beside.setdefault(within[1], []).append(one)
+    form = _form(chart, 0, beside)
+    texts = [(name.rpartition("/")[2], text) for one in (form, *_inside(form)) for name, text in one["values"].items()]
+    scripts, labels = ([text for name, text in texts if name == kind] for kind in ("script", "labelString"))
     function = _value(chart, "type") == "EML_CHART" or (bool(scripts) and len(labels) <= 1)
-    form = None if own or number else _form(chart, 0)
     return _value(chart, "name"), function, "\n".join(scripts if function else [*labels, *scripts]), form
 
 
-def _form(part: Element, depth: int) -> dict[str, Any]:
+def _inside(form: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the parts inside a part of a chart."""
+    for one in form["inside"]:
+        yield from (one, *_inside(one))
+
+
+def _form(part: Element, depth: int, beside: dict[str, list[Element]]) -> dict[str, Any]:
     """Return a part of a chart with its values, those of parts that only hold values by path, and the parts inside."""
     if depth > DEEPEST:
         raise LogError(f"a chart is nested more than {DEEPEST} deep", "stateflow", REMEDY)
@@ -165,13 +172,13 @@ def _form(part: Element, depth: int) -> dict[str, Any]:
         prefix, at = stack.pop()
         values |= {f"{prefix}{name}": text for name, text in _values(at).items()}
         stack += [(f"{prefix}{one.tag}/", one) for one in at if one.tag not in ("P", "Children") and len(prefix) < 200]
-    inside = [_form(one, depth + 1) for children in part.iterfind("Children") for one in children]
+    inside = [one for children in part.iterfind("Children") for one in children]
     return {
         "tag": part.tag,
-        "id": part.get("SSID", ""),
-        "name": part.get("name", ""),
+        "id": part.get("SSID", values.get("id", "")),
+        "name": part.get("name", values.get("name", "")),
         "values": values,
-        "inside": inside,
+        "inside": [_form(one, depth + 1, beside) for one in [*inside, *beside.get(values.get("id", ""), ())]],
     }
 
 

@@ -23,13 +23,12 @@ from twodof.slx.translation import Signal
 
 KEEPS_TYPE = (
     *("Abs", "Bias", "Delay", "Gain", "Logic", "Memory", "Merge", "MinMax", "RateTransition", "Saturate", "Sum"),
-    *("SignalSpecification", "Switch", "UnaryMinus", "UnitDelay", "ZeroOrderHold"),
+    *("SignalConversion", "SignalSpecification", "Switch", "UnaryMinus", "UnitDelay", "ZeroOrderHold"),
 )
 """Types of blocks whose output has the type of what they combine."""
 KEEPS_WIDTH = (
     *(*KEEPS_TYPE, "DataTypeConversion", "DeadZone", "Derivative", "DiscreteIntegrator", "Integrator", "Product"),
-    *("Quantizer", "RateLimiter", "Reshape", "Signum", "SignalConversion", "TransferFcn", "TransportDelay"),
-    "Trigonometry",
+    *("Quantizer", "RateLimiter", "Reshape", "Signum", "TransferFcn", "TransportDelay", "Trigonometry"),
 )
 """Types of blocks whose output is as wide as their inputs."""
 _JOINS = ("Concatenate", "Mux")
