@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twodof import models
 from twodof.errors import IdentificationError
 from twodof.identify import Record, fit, simulate
 from twodof.models import DelayedStateSpace, linear_model, process
@@ -106,3 +107,9 @@ def test_dead_times_of_a_linear_model_are_exact() -> None:
 def test_dead_times_that_cannot_be_are_refused(delays: dict[str, object]) -> None:
     with pytest.raises(IdentificationError, match="the dead time"):
         linear_model([[-1]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={}, delays=delays)  # type: ignore[arg-type]
+
+
+def test_a_model_is_made_by_its_name() -> None:
+    made = models.model_named("arx:2,1/3,1", ("u", "w"), ("y",))
+    assert made == models.arx(2, [1, 3], 1, inputs=("u", "w"))
+    assert models.model_named("process:P2D", ("u",), ("y",)).outputs == ("y",)

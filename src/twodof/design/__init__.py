@@ -1,54 +1,36 @@
 """Design: from a model to a controller, and what may change before the loop becomes unstable."""
 
-from twodof.design.cascade import CascadeDesign, cascade_design, cascade_hinf
-from twodof.design.closed_loop_poles import Motion, closed_loop_poles, root_locus
-from twodof.design.designed_controller import SaturatedStep, saturated_step
-from twodof.design.loop_transfer import LoopTransfer
-from twodof.design.margins import DiskMargin, GainCrossing, LoopMargins, PhaseCrossing, margins
-from twodof.design.own_loop import own_loop, read_rational, step_response
-from twodof.design.pid import PidGains, pid_at, shaped_pid
-from twodof.design.pitch_family import PitchFamily
-from twodof.design.promise import Promise, promise
-from twodof.design.robustness import Robustness, robustness
-from twodof.design.sampled_controller import SampledController
-from twodof.design.specification import Specification, check, read_specification
-from twodof.design.state_feedback import lqg_attitude, lqi
-from twodof.design.structured_hinf import structured_hinf
-from twodof.design.tuning_preview import TuningPreview, tuning_preview
-
-__all__ = [
-    "CascadeDesign",
-    "DiskMargin",
-    "GainCrossing",
-    "LoopMargins",
-    "LoopTransfer",
-    "Motion",
-    "PhaseCrossing",
-    "PidGains",
-    "PitchFamily",
-    "Promise",
-    "Robustness",
-    "SampledController",
-    "SaturatedStep",
-    "Specification",
-    "TuningPreview",
-    "cascade_design",
-    "cascade_hinf",
-    "check",
-    "closed_loop_poles",
-    "lqg_attitude",
-    "lqi",
-    "margins",
-    "own_loop",
-    "pid_at",
-    "promise",
-    "read_rational",
-    "read_specification",
-    "robustness",
-    "root_locus",
-    "saturated_step",
-    "shaped_pid",
-    "step_response",
-    "structured_hinf",
-    "tuning_preview",
-]
+from twodof.design.cascade import CascadeDesign as CascadeDesign
+from twodof.design.cascade import cascade_design as cascade_design
+from twodof.design.cascade import cascade_hinf as cascade_hinf
+from twodof.design.closed_loop_poles import Motion as Motion
+from twodof.design.closed_loop_poles import closed_loop_poles as closed_loop_poles
+from twodof.design.closed_loop_poles import root_locus as root_locus
+from twodof.design.designed_controller import SaturatedStep as SaturatedStep
+from twodof.design.designed_controller import saturated_step as saturated_step
+from twodof.design.loop_transfer import LoopTransfer as LoopTransfer
+from twodof.design.margins import DiskMargin as DiskMargin
+from twodof.design.margins import GainCrossing as GainCrossing
+from twodof.design.margins import LoopMargins as LoopMargins
+from twodof.design.margins import PhaseCrossing as PhaseCrossing
+from twodof.design.margins import margins as margins
+from twodof.design.own_loop import own_loop as own_loop
+from twodof.design.own_loop import read_rational as read_rational
+from twodof.design.own_loop import step_response as step_response
+from twodof.design.pid import PidGains as PidGains
+from twodof.design.pid import pid_at as pid_at
+from twodof.design.pid import shaped_pid as shaped_pid
+from twodof.design.pitch_family import PitchFamily as PitchFamily
+from twodof.design.promise import Promise as Promise
+from twodof.design.promise import promise as promise
+from twodof.design.robustness import Robustness as Robustness
+from twodof.design.robustness import robustness as robustness
+from twodof.design.sampled_controller import SampledController as SampledController
+from twodof.design.specification import Specification as Specification
+from twodof.design.specification import check as check
+from twodof.design.specification import read_specification as read_specification
+from twodof.design.state_feedback import lqg_attitude as lqg_attitude
+from twodof.design.state_feedback import lqi as lqi
+from twodof.design.structured_hinf import structured_hinf as structured_hinf
+from twodof.design.tuning_preview import TuningPreview as TuningPreview
+from twodof.design.tuning_preview import tuning_preview as tuning_preview

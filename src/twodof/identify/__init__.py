@@ -1,97 +1,58 @@
 """Identification: from a record to a model and its uncertainty; from a model to the experiment that tells it best."""
 
-from twodof.identify.disturbance import DisturbanceModel, Gust
-from twodof.identify.estimate import Estimate
-from twodof.identify.experiments import KINDS, ExperimentKind, cut, only
-from twodof.identify.frequency_response import FrequencyResponse, frequency_response
-from twodof.identify.greybox import fit, named_model
-from twodof.identify.information import (
-    PITCH_LIMITS,
-    RAIL_LIMITS,
-    Design,
-    Information,
-    Limits,
-    best,
-    doublets,
-    multisines,
-    predict,
-    three_two_one_ones,
-)
-from twodof.identify.multi_start import LocalMinimum, MultiStart, fit_from_several
-from twodof.identify.ranking import Ranking, rank, select
-from twodof.identify.record import Record, Samples, merge
-from twodof.identify.repeated import Repeated, Spread, repeat
-from twodof.identify.simple_pitch import SimplePitch, identify_pitch
-from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
-from twodof.identify.simulation import ComparedModel, ModelTable, compare, initial_state, predict_ahead, simulate
-from twodof.identify.subspace import SubspaceModel, subspace
-from twodof.identify.transfer_fit import TransferFactor, TransferFit, fit_transfer
-from twodof.identify.validate import (
-    Comparison,
-    Correlation,
-    comparison,
-    cross_correlation,
-    fit_percent,
-    rmse,
-    vaf,
-    whiteness,
-)
-
-__all__ = [
-    "KINDS",
-    "PITCH_LIMITS",
-    "RAIL_LIMITS",
-    "ComparedModel",
-    "Comparison",
-    "Correlation",
-    "Design",
-    "DisturbanceModel",
-    "Estimate",
-    "ExperimentKind",
-    "FrequencyResponse",
-    "Gust",
-    "Information",
-    "Limits",
-    "LocalMinimum",
-    "ModelTable",
-    "MultiStart",
-    "Ranking",
-    "Record",
-    "Repeated",
-    "Samples",
-    "SimplePitch",
-    "SimpleVelocity",
-    "Spread",
-    "SubspaceModel",
-    "TransferFactor",
-    "TransferFit",
-    "best",
-    "compare",
-    "comparison",
-    "cross_correlation",
-    "cut",
-    "doublets",
-    "fit",
-    "fit_from_several",
-    "fit_percent",
-    "fit_transfer",
-    "frequency_response",
-    "identify_pitch",
-    "identify_velocity",
-    "initial_state",
-    "merge",
-    "multisines",
-    "named_model",
-    "only",
-    "predict",
-    "predict_ahead",
-    "rank",
-    "repeat",
-    "rmse",
-    "select",
-    "simulate",
-    "subspace",
-    "three_two_one_ones",
-    "vaf",
-    "whiteness",
-]
+from twodof.identify.disturbance import DisturbanceModel as DisturbanceModel
+from twodof.identify.disturbance import Gust as Gust
+from twodof.identify.estimate import Estimate as Estimate
+from twodof.identify.experiments import KINDS as KINDS
+from twodof.identify.experiments import ExperimentKind as ExperimentKind
+from twodof.identify.experiments import cut as cut
+from twodof.identify.experiments import only as only
+from twodof.identify.frequency_response import FrequencyResponse as FrequencyResponse
+from twodof.identify.frequency_response import frequency_response as frequency_response
+from twodof.identify.greybox import fit as fit
+from twodof.identify.greybox import named_model as named_model
+from twodof.identify.information import PITCH_LIMITS as PITCH_LIMITS
+from twodof.identify.information import RAIL_LIMITS as RAIL_LIMITS
+from twodof.identify.information import Design as Design
+from twodof.identify.information import Information as Information
+from twodof.identify.information import Limits as Limits
+from twodof.identify.information import best as best
+from twodof.identify.information import doublets as doublets
+from twodof.identify.information import multisines as multisines
+from twodof.identify.information import predict as predict
+from twodof.identify.information import three_two_one_ones as three_two_one_ones
+from twodof.identify.multi_start import LocalMinimum as LocalMinimum
+from twodof.identify.multi_start import MultiStart as MultiStart
+from twodof.identify.multi_start import fit_from_several as fit_from_several
+from twodof.identify.ranking import Ranking as Ranking
+from twodof.identify.ranking import rank as rank
+from twodof.identify.ranking import select as select
+from twodof.identify.record import Record as Record
+from twodof.identify.record import Samples as Samples
+from twodof.identify.record import merge as merge
+from twodof.identify.repeated import Repeated as Repeated
+from twodof.identify.repeated import Spread as Spread
+from twodof.identify.repeated import repeat as repeat
+from twodof.identify.simple_pitch import SimplePitch as SimplePitch
+from twodof.identify.simple_pitch import identify_pitch as identify_pitch
+from twodof.identify.simple_velocity import SimpleVelocity as SimpleVelocity
+from twodof.identify.simple_velocity import identify_velocity as identify_velocity
+from twodof.identify.simulation import ComparedModel as ComparedModel
+from twodof.identify.simulation import ModelTable as ModelTable
+from twodof.identify.simulation import compare as compare
+from twodof.identify.simulation import initial_state as initial_state
+from twodof.identify.simulation import predict_ahead as predict_ahead
+from twodof.identify.simulation import simulate as simulate
+from twodof.identify.subspace import SubspaceModel as SubspaceModel
+from twodof.identify.subspace import subspace as subspace
+from twodof.identify.transfer_fit import TransferFactor as TransferFactor
+from twodof.identify.transfer_fit import TransferFit as TransferFit
+from twodof.identify.transfer_fit import fit_transfer as fit_transfer
+from twodof.identify.validate import Comparison as Comparison
+from twodof.identify.validate import Correlation as Correlation
+from twodof.identify.validate import comparison as comparison
+from twodof.identify.validate import cross_correlation as cross_correlation
+from twodof.identify.validate import fit_percent as fit_percent
+from twodof.identify.validate import rmse as rmse
+from twodof.identify.validate import vaf as vaf
+from twodof.identify.validate import whiteness as whiteness

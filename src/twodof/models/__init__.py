@@ -1,55 +1,30 @@
 """Plant models: linear ones in closed form, and structures (diagrams with unknown parameters) for identification."""
 
-from twodof.models.lti import DelayedStateSpace, SampledStateSpace, StepFigures, step_figures
-from twodof.models.plant import (
-    PAPER_PITCH_RATE,
-    PAPER_VELOCITY_GREYBOX,
-    PAPER_VELOCITY_SIMPLE,
-    Longitudinal,
-    PitchRate,
-    Velocity,
-    thrust_curve,
-)
-from twodof.models.polynomial import PolynomialModel, armax, arx, bj, oe
-from twodof.models.process import process
-from twodof.models.structure import Structure, UnknownParameter, linear_model
-from twodof.models.structures import (
-    free_response,
-    longitudinal,
-    pitch_and_velocity,
-    pitch_on_cart,
-    pitch_rate,
-    rail,
-    velocity,
-)
-
-__all__ = [
-    "PAPER_PITCH_RATE",
-    "PAPER_VELOCITY_GREYBOX",
-    "PAPER_VELOCITY_SIMPLE",
-    "DelayedStateSpace",
-    "Longitudinal",
-    "PitchRate",
-    "PolynomialModel",
-    "SampledStateSpace",
-    "StepFigures",
-    "Structure",
-    "UnknownParameter",
-    "Velocity",
-    "armax",
-    "arx",
-    "bj",
-    "free_response",
-    "linear_model",
-    "longitudinal",
-    "model_named",
-    "oe",
-    "pitch_and_velocity",
-    "pitch_on_cart",
-    "pitch_rate",
-    "process",
-    "rail",
-    "step_figures",
-    "thrust_curve",
-    "velocity",
-]
+from twodof.models.lti import DelayedStateSpace as DelayedStateSpace
+from twodof.models.lti import SampledStateSpace as SampledStateSpace
+from twodof.models.lti import StepFigures as StepFigures
+from twodof.models.lti import step_figures as step_figures
+from twodof.models.plant import PAPER_PITCH_RATE as PAPER_PITCH_RATE
+from twodof.models.plant import PAPER_VELOCITY_GREYBOX as PAPER_VELOCITY_GREYBOX
+from twodof.models.plant import PAPER_VELOCITY_SIMPLE as PAPER_VELOCITY_SIMPLE
+from twodof.models.plant import Longitudinal as Longitudinal
+from twodof.models.plant import PitchRate as PitchRate
+from twodof.models.plant import Velocity as Velocity
+from twodof.models.plant import thrust_curve as thrust_curve
+from twodof.models.polynomial import PolynomialModel as PolynomialModel
+from twodof.models.polynomial import armax as armax
+from twodof.models.polynomial import arx as arx
+from twodof.models.polynomial import bj as bj
+from twodof.models.polynomial import model_named as model_named
+from twodof.models.polynomial import oe as oe
+from twodof.models.process import process as process
+from twodof.models.structure import Structure as Structure
+from twodof.models.structure import UnknownParameter as UnknownParameter
+from twodof.models.structure import linear_model as linear_model
+from twodof.models.structures import free_response as free_response
+from twodof.models.structures import longitudinal as longitudinal
+from twodof.models.structures import pitch_and_velocity as pitch_and_velocity
+from twodof.models.structures import pitch_on_cart as pitch_on_cart
+from twodof.models.structures import pitch_rate as pitch_rate
+from twodof.models.structures import rail as rail
+from twodof.models.structures import velocity as velocity
