@@ -111,6 +111,8 @@ def px4_log(n: int = 40) -> bytes:
         "vehicle_local_position_setpoint": "uint64_t timestamp;float x;float vx;",
         "distance_sensor": "uint64_t timestamp;float current_distance;",
         "battery_status": "uint64_t timestamp;float voltage_v;float remaining;",
+        "vehicle_control_mode": "uint64_t timestamp;bool flag_armed;bool flag_control_position_enabled;"
+        "bool flag_control_velocity_enabled;bool flag_control_attitude_enabled;bool flag_control_rates_enabled;",
         "twodof_mine": "uint64_t timestamp;uint32_t tick;float in_theta;float out_m;int32_t log_hits;bool active;",
         "esc": "float rpm;uint8_t n;uint8_t[3] _padding0;",
         "esc_status": "uint64_t timestamp;esc[2] esc;uint8_t count;uint8_t[7] _padding0;",
@@ -141,6 +143,8 @@ def px4_log(n: int = 40) -> bytes:
             "vehicle_local_position_setpoint": struct.pack("<Qff", t, 0.75 if k % 2 else float("nan"), 0.0),
             "distance_sensor": struct.pack("<Qf", t, 0.5),
             "battery_status": struct.pack("<Qff", t, 11.5, 0.75),
+            # disarmed, then by stick, in Acro, level, in offboard by velocity, and at a position
+            "vehicle_control_mode": struct.pack("<Q5?", t, k > 5, k > 35, k > 30, k > 20, k > 10),
             "twodof_mine": struct.pack("<QIffi?", t, k, 0.5, 0.25, -k, True),
             "esc_status": struct.pack("<Q", t) + struct.pack("<fB3x", k, 1) + struct.pack("<fB3x", -k, 2) + b"\x02",
         }
@@ -174,6 +178,7 @@ def test_px4s_topics_become_channels(tmp_path: Path) -> None:
         "dist": (stamp, 0 * k + 0.5),
         "voltage": (stamp, 0 * k + 11.5),
         "charge": (stamp, 0 * k + 0.75),
+        "mode": (stamp, 1 * (k > 5) + (k > 10) + (k > 20) + (k > 30) + (k > 35)),
         "twodof_mine_in_theta": (stamp, 0 * k + 0.5),
         "twodof_mine_out_m": (stamp, 0 * k + 0.25),
         "twodof_mine_log_hits": (stamp, -k),

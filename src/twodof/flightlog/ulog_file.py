@@ -18,7 +18,7 @@ from twodof.flightlog.log import MAX_CHANNELS, Channel, FlightLog, near_the_othe
 from twodof.flightlog.provenance import RECOVER, Loss, noted
 from twodof.flightlog.steps import ASKED, BOOT, STEP_TOPIC, safety_channel, step_channels
 from twodof.flightlog.ulog_writer import HEADER, LETTERS, LEVELS, MAGIC, MARK, MESSAGE, OWN, ULogWriter, topic_format
-from twodof.signals import BY_MAT, PERIOD, SEVERITIES, TOPICS
+from twodof.signals import BY_MAT, OFF, OPEN_LOOP, PERIOD, RATE, SEVERITIES, TOPICS
 
 _PARAMETER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,15}")
 _LAST_US = 2.0**63
@@ -207,6 +207,21 @@ PX4_SOURCES: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = MappingProx
 """The topic of PX4, and the fields, of each channel; a sign before a field negates it, and four are a quaternion."""
 
 
+_LOOPS = ("rates", "attitude", "velocity", "position")
+"""Loops of PX4 from the inner to the outer one, as its `vehicle_control_mode` names them: the modes from RATE on."""
+
+
+def _px4_modes(found: ULogContents) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return stamps and modes (n,) as indices into `signals.MODES`, by the outermost loop that PX4 closes."""
+    columns = found.topic("vehicle_control_mode") or {}
+    flags = [f"flag_control_{loop}_enabled" for loop in _LOOPS]
+    if not {"timestamp", "flag_armed", *flags} <= columns.keys():
+        return None
+    closed = np.stack([columns[flag] != 0 for flag in flags])
+    mode = np.max(closed * np.arange(RATE, RATE + len(flags))[:, None], axis=0, initial=OPEN_LOOP)
+    return _stamps(columns), np.where(columns["flag_armed"] != 0, mode, OFF).astype(np.float64)
+
+
 def _values(columns: Columns, fields: Sequence[str]) -> NDArray[np.float64]:
     """Return the values (n,) or (n, k) of a channel, of a quaternion (w, x, y, z) its pitch."""
     # Not negated, so that thrust 0 is not written as -0.
@@ -237,6 +252,9 @@ def ulog_to_log(found: ULogContents, file: dict[str, Any], where: str) -> Flight
             continue  # of a PX4 that lays this topic out differently: it is named among those ignored
         used.add(topic)
         rows[name] = _stamps(columns), _values(columns, fields)
+    if not own and (modes := _px4_modes(found)):
+        used.add("vehicle_control_mode")
+        rows["mode"] = modes
     near = near_the_others([stamps for stamps, _ in rows.values()])
     for (name, (stamps, values)), kept_rows in zip(rows.items(), near, strict=True):
         if found.start_us:  # 0 is no time then

@@ -161,7 +161,14 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
         "estimated place and speed on the rail, 100 Hz",
         "uint64_t timestamp_sample;bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid;float x;float y;float z;"
         "float vx;float vy;float vz;float ax;float ay;float az;float heading;float dist_bottom",
-        {"timestamp_sample": "timestamp", "xy_valid": 1, "v_xy_valid": 1, "x": "x", "vx": "v", "dist_bottom": np.nan},
+        {
+            "timestamp_sample": "timestamp",
+            "xy_valid": 1,
+            "v_xy_valid": 1,
+            "x": "x",
+            "vx": "v",
+            **dict.fromkeys(("ax", "ay", "az", "dist_bottom"), np.nan),
+        },
         lambda rows: is_published(rows["tick"].astype(np.int64) - 1),
     ),
     LoggedTopic(
@@ -226,8 +233,7 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     LoggedTopic(
         "vehicle_status",
         "armed or not, PX4's mode, whether the failsafe acts: each change, and 2 Hz",
-        "uint64_t armed_time;uint8_t arming_state;uint8_t nav_state;uint8_t nav_state_user_intention;"
-        "uint8_t vehicle_type;bool failsafe",
+        "uint8_t arming_state;uint8_t nav_state;uint8_t nav_state_user_intention;uint8_t vehicle_type;bool failsafe",
         {
             "arming_state": lambda rows: np.where(rows["armed"] != 0, _ARMED, _DISARMED),
             "nav_state": _nav_state,
