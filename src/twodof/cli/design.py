@@ -110,8 +110,8 @@ def controller(
         written = {"diagram": str(out), **_keep(found, promise_file, plot, force)}
     lines = [] if made.cascade is None else _cascade_lines(made.cascade)
     if made.cascade is not None and spec is None and phase_margin is None:
-        why = f"  mu / s alone crosses over at {crossover:g} rad/s; the rule's lead and integral raise the gain"
-        lines.append(f"{why}. --phase-margin DEG meets the crossover exactly")
+        why = f"  {crossover:g} rad/s is the crossover of mu / s alone; with its integral and lead the loop's is higher"
+        lines.append(f"{why}. With --phase-margin DEG the loop crosses over there exactly")
     lines += [sure.text, made.saturation.text, found.table(), *(one.text for one in made.requirements)]
     print_result(json, {**made.to_json(), "written": written}, lines)
     _say_notes(family, () if json else written.values())
