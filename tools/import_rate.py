@@ -1,17 +1,19 @@
 """How many public Simulink models `twodof slx import` takes: imported, compiled and run for 1,000 steps.
 
-`python -m tools.import_rate REPOSITORY...` takes folders with models, one a repository, and looks for libraries in
-all folders of the repository. Names that no callback of a model gives are looked for in the repository's scripts,
-those of the model's folder first; what none gives is 1, and is counted. A model with the same bytes counts once, a
-library not at all. A part is missing where a library, a model or a block of another vendor is not in the repository;
-data are missing where no script, .mat file or dictionary of the repository assigns a name that the model takes. The
-rates without such models are shown apart; a name that a script assigns, and that we do not compute, is not missing.
+`python -m tools.import_rate REPOSITORY...` takes folders with models, one a repository, and looks for libraries in all
+folders of the repository, those that share more of the model's own path first. Names that no callback of a model gives
+are looked for in the repository's scripts, those of the model's folder first; what none gives is 1, and is counted. A
+model with the same bytes counts once, a library not at all. A part is missing where a library, a model or a block of
+another vendor is not in the repository; data are missing where no script, .mat file or dictionary of the repository
+assigns a name that the model takes. The rates without such models are shown apart; a name that a script assigns, and
+that we do not compute, is not missing.
 `--why` counts the reasons of refusals, in models without missing parts, and how often one is a model's only one.
 """
 
 import argparse
 import hashlib
 import multiprocessing
+import os
 import re
 import subprocess
 import sys
@@ -67,7 +69,8 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     if model.kind != "model":
         return None
     found = Tried(path, bool(model.charts), sum(1 for _ in model.blocks()))
-    folders = [path.parent, *folders]
+    near = {one: len(os.path.commonpath([path.parent, one])) for one in folders}
+    folders = [path.parent, *sorted(folders, key=lambda one: -near[one])]
     wanted = set(inspect(model, folders).names)
     names = _workspace(wanted, folders, path.stem)
     missing = wanted - names.keys()

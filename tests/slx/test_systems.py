@@ -576,11 +576,12 @@ def test_recorded_data_of_a_subsystem_become_inputs(tmp_path: Path) -> None:
     assert np.array_equal(y, (DRAWN[0] - DRAWN[1]) + DRAWN[2])
 
 
-def test_a_for_each_acts_once_for_each_part(tmp_path: Path) -> None:
-    """Each part has states of its own, and what is not taken apart goes to all of them."""
+@pytest.mark.parametrize("values", [{"SpecifiedNumIters": "2"}, {}])
+def test_a_for_each_acts_once_for_each_part(tmp_path: Path, values: dict[str, str]) -> None:
+    """Each part has states of its own, and what is not taken apart goes to all of them; a port says their number."""
     inside: Blocks = [
-        ("ForEach", "each", {"SpecifiedNumIters": "2"}),
-        ("Inport", "part", {"Partition": "on", "PartitionDimension": "1"}),
+        ("ForEach", "each", values),
+        ("Inport", "part", {"Partition": "on", "PartitionDimension": "1", "PartitionWidth": "2"}),
         ("Inport", "whole", {"Port": "2"}),
         ("Sum", "sum", {"Ports": "[3, 1]", "Inputs": "+++"}),
         ("UnitDelay", "z", {"InitialCondition": "1"}),

@@ -606,6 +606,48 @@ def test_a_bus_goes_round_a_loop_of_a_memory_and_functions(tmp_path: Path) -> No
     assert found["y.on"].tolist() == [False, False, False, True, True]
 
 
+def test_a_bus_says_how_many_parts_a_for_each_has(tmp_path: Path) -> None:
+    each: tuple = (
+        [
+            ("ForEach", "each", {}),
+            ("Inport", "part", {"Partition": "on"}),
+            ("UnitDelay", "z", {}),
+            ("Outport", "out", {}),
+        ],
+        [("part", "z"), ("z", "out")],
+    )
+    blocks = [("Inport", "in", {"OutDataTypeStr": "Bus: Rates"}), ("BusSelector", "s", {"OutputSignals": "p,axes"}),
+              ("SubSystem", "parts", {"Ports": "[1, 1]"}, each), ("Terminator", "end", {}),
+              ("Outport", "y", {})]  # fmt: skip
+    found = imported(tmp_path, blocks, [("in", "s"), ("s:1", "end"), ("s:2", "parts"), ("parts", "y")])
+    axes = np.random.default_rng(3).normal(0.0, 1.0, (200, 3))
+    got = flown(found, {"in.p": np.zeros(200), "in.axes": axes, "in.on": np.zeros(200, bool)})["y"]
+    assert np.array_equal(got, np.vstack([np.zeros(3), axes[:-1]]))
+
+
+def test_an_enumeration_that_only_a_library_names_is_found(tmp_path: Path) -> None:
+    code = "classdef Gear < Simulink.IntEnumType\n enumeration\n low(3)\n high(7)\n end\nend\n"
+    (tmp_path / "Gear.m").write_text(code)
+    inside: tuple = ([("Constant", "k", {"Value": "double(Gear.high)"}), ("Outport", "out", {})], [("k", "out")])
+    files = model([("SubSystem", "part", {"Ports": "[0, 1]"}, inside)], [])
+    text = files["simulink/blockdiagram.xml"].replace("<Model>", "<Library>").replace("</Model>", "</Library>")
+    slx({"simulink/blockdiagram.xml": text}, tmp_path / "parts.slx")
+    blocks = [("Reference", "link", {"SourceBlock": "parts/part", "Ports": "[0, 1]"}), ("Outport", "y", {})]
+    found = imported(tmp_path, blocks, [("link", "y")])
+    assert flown(found, {}, 3)["y"].tolist() == [7.0, 7.0, 7.0]
+    assert inspect(read_model(tmp_path / "m.slx"), [tmp_path]).names == {}
+
+
+def test_recorded_data_have_the_type_that_their_block_declares(tmp_path: Path) -> None:
+    blocks = [("FromWorkspace", "log", {"VariableName": "log", "OutDataTypeStr": "Bus: Rates"}),
+              ("BusSelector", "s", {"OutputSignals": "on"}), ("Outport", "y", {})]  # fmt: skip
+    on = np.arange(200) % 3 == 0
+    given = {"log.p": np.zeros(200), "log.axes": np.zeros((200, 3)), "log.on": on}
+    got = flown(imported(tmp_path, blocks, [("log", "s"), ("s", "y")]), given)["y"]
+    assert got.dtype == bool
+    assert np.array_equal(got, on)
+
+
 def test_a_port_of_a_whole_bus_takes_the_type_that_is_declared_behind_it(tmp_path: Path) -> None:
     element = {"InterfaceIsComposite": "1", "InterfacePortName": "rates", "InterfaceElement": ""}
     inside: tuple = (

@@ -8,9 +8,13 @@ from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 
+import numpy as np
+
+from twodof.blocks.bus import Bus
 from twodof.slx.conditions import CONTROL_PORTS, ITERATED
+from twodof.slx.data_types import field_name, kind_of
 from twodof.slx.matlab.program import evaluate
-from twodof.slx.matlab.values import Value, scalar
+from twodof.slx.matlab.values import Value, as_array, scalar
 from twodof.slx.model import Line, Pin, SimulinkBlock, System, Wire, port_number
 from twodof.slx.network import Iteration
 from twodof.slx.translation import NotTranslated
@@ -76,13 +80,21 @@ MOST_PARTS = 100
 """Most parts of a For Each."""
 
 
-def with_each(system: System, names: Mapping[str, Value]) -> tuple[System, list[str]]:
+def with_each(
+    system: System, names: Mapping[str, Value], around: System, block: SimulinkBlock
+) -> tuple[System, list[str]]:
     """Return a system that holds what is inside a For Each once for each part of its inputs, and the copies' names.
 
-    Raises NotTranslated for parts other than elements side by side, and where no number of them is written.
+    It is that of a block in the system `around`. Raises NotTranslated for parts other than elements side by side, and
+    where no number of them is written, and no bus or port around declares it.
     """
     said = next(one.values.get("SpecifiedNumIters", "-1") for one in system.blocks.values() if one.type == "ForEach")
     count = int(scalar(evaluate(said, names, "SpecifiedNumIters")))
+    if count < 0:
+        parted = [one for one in system.blocks.values() if one.values.get("Partition", "off") == "on"]
+        widths = [int(scalar(evaluate(one.values.get("PartitionWidth", "1"), names, one.name))) for one in parted]
+        sizes = [_declared_width(around, Pin(block.sid, "in", port_number(one)), names) for one in parted]
+        count = next((size // width for size, width in zip(sizes, widths, strict=True)), 0)
     if not 0 < count <= MOST_PARTS:
         raise NotTranslated(f"a For Each with SpecifiedNumIters = {said} is not translated")
     inner = System({sid: block for sid, block in system.blocks.items() if block.type != "ForEach"}, system.lines)
@@ -110,6 +122,22 @@ def with_each(system: System, names: Mapping[str, Value]) -> tuple[System, list[
             source = Pin(middle, "out", k) if middle in made.blocks else Pin(port.sid, "out", 1)
             made.lines.append(Line("", source, Wire([], Pin(sid, "in", number), [])))
     return made, copies
+
+
+def _declared_width(system: System, pin: Pin, names: Mapping[str, Value]) -> int:
+    """Return how many elements an Inport, or the bus of one by a selector, declares to drive a pin; 0 where none."""
+    source = next((line.source for line in system.lines if pin in line.wire.sinks()), None)
+    block = None if source is None else system.blocks.get(source.sid)
+    if source is None or block is None:
+        return 0
+    if block.type == "BusSelector":
+        port = next((line.source for line in system.lines if Pin(block.sid, "in", 1) in line.wire.sinks()), None)
+        said = system.blocks[port.sid].values.get("OutDataTypeStr", "") if port is not None else ""
+        bus, name = kind_of(said, names) if said.startswith("Bus") else None, block.values.get("OutputSignals", "")
+        fields = {one.name: one.width or 1 for one in bus.fields} if isinstance(bus, Bus) else {}
+        return fields.get(field_name(name.split(",")[source.number - 1]), 0)
+    said = block.values.get("PortDimensions", "-1") if block.type == "Inport" else "0"
+    return max(int(np.prod(as_array(evaluate(said, names, "PortDimensions")))), 0)
 
 
 MOST_TURNS = 1000
@@ -220,8 +248,8 @@ def _with_elements(system: System) -> System:
 
 
 def _port(kind: str, block: SimulinkBlock, number: int) -> SimulinkBlock:
-    values = {"Port": str(number), "Position": block.values.get("Position", "")}
-    return SimulinkBlock(kind, block.name, block.sid, values)
+    kept = {name: text for name, text in block.values.items() if name in ("Position", "OutDataTypeStr")}
+    return SimulinkBlock(kind, block.name, block.sid, {**kept, "Port": str(number)})
 
 
 def with_recorded(system: System, recorded: list[SimulinkBlock], at: str = "") -> System:

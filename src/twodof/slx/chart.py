@@ -32,6 +32,7 @@ from twodof.slx.matlab.parser import names_in
 from twodof.slx.matlab.program import IN_C, evaluate
 from twodof.slx.matlab.values import Members, Value, as_array, number
 from twodof.slx.model import SimulinkChart, System, collapsed
+from twodof.slx.reader import parts_inside
 from twodof.slx.translation import Asked, Made, NotTranslated, Rule, Signal
 
 MOST_LINES = 4000
@@ -125,7 +126,7 @@ class _Chart:
         self.afresh = form["values"].get("initializeOutput", "0") == "1"
         self.names, self.dt = names, dt
         typed = re.compile(r"Inherit|double|boolean")
-        kinds = [one["values"].get("dataType", "double") for one in _parts(form) if one["tag"] == "data"]
+        kinds = [one["values"].get("dataType", "double") for one in parts_inside(form) if one["tag"] == "data"]
         self.exact = exact and all(map(typed.match, kinds))
         self.at_start = form["values"].get("executeAtInitialization", "0") == "1"
         self.states: dict[str, _State] = {}
@@ -617,11 +618,6 @@ class _Chart:
         return f"(before_{name} ~= start_{name}{at})"
 
 
-def _parts(form: Form) -> Iterator[Form]:
-    for one in form["inside"]:
-        yield from (one, *_parts(one))
-
-
 def _shown(way: _Way) -> str:
     label = f"[{way.condition}]" if way.condition else f"{way.order} of {way.parent.name}"
     return f"the transition {label[:60]}"
@@ -636,7 +632,7 @@ def _check_overflow(chart: SimulinkChart, item: MatlabFunction) -> None:
     whole: Any = not kinds.isdisjoint(INTEGER_TYPES) or re.search(r"\bu?int(8|16|32)\b", chart.text)
     values = {} if chart.form is None else chart.form["values"]
     if not chart.function and values.get("actionLanguage", "") != "2":
-        texts = [one["values"].get("eml/script", "") for one in _parts(chart.form or {"inside": ()})]
+        texts = [one["values"].get("eml/script", "") for one in parts_inside(chart.form or {"inside": ()})]
         whole = whole and any(re.search(r"[-+*/]", COMMENT.sub("", text)) for text in texts)
     if whole and values.get("saturateOnIntegerOverflow", "1" if chart.function else "0") == "0":
         raise NotTranslated("its integers wrap around: let it saturate on integer overflow")

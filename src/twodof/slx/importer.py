@@ -43,7 +43,7 @@ from twodof.slx.connections import (
 from twodof.slx.data_types import SINGLE, in_single, kind_of, sized, value_of
 from twodof.slx.dictionary import dictionary, enumerations
 from twodof.slx.dynamic_blocks import STATEFUL
-from twodof.slx.inspection import OWN_LIBRARIES, library_file
+from twodof.slx.inspection import OWN_LIBRARIES, library_file, needed_files
 from twodof.slx.matlab.function_block import last_index
 from twodof.slx.matlab.program import evaluate
 from twodof.slx.matlab.script import run
@@ -132,9 +132,10 @@ class _Import(Wiring):
     ) -> None:
         super().__init__(model, path)
         self.folders, self.given_dt, self.otherwise = folders, dt, otherwise
-        self.libraries: dict[str, Model | None] = {}
+        self.libraries: dict[str, Model | None] = {one.name: one for one in needed_files(model, folders)}
         self.library_blocks: dict[str, dict[str, SimulinkBlock]] = {}
-        self.names = {**self._names_of(model), **workspace}
+        texts = (text for one in self.libraries.values() if one is not None for text in one.texts())
+        self.names = {**enumerations(texts, folders), **self._names_of(model), **workspace}
         self.names_of: dict[str, dict[str, Value]] = {}
         self.referenced: dict[str, dict[str, Value]] = {}
         self.times: dict[Key, tuple[float, float]] = {}
@@ -220,7 +221,7 @@ class _Import(Wiring):
             at = below(path, block)
             try:
                 linked = block if block.commented else self._linked(block, at)
-                inner, masked = (None, block) if block.commented else self._body(linked, names, at)
+                inner, masked = (None, block) if block.commented else self._body(linked, names, at, system)
             except (NotTranslated, DiagramError) as reason:
                 why = reason.what if isinstance(reason, DiagramError) else str(reason)
                 self.report.append(ReportLine(at, block.kind, "refused", why))
@@ -266,7 +267,9 @@ class _Import(Wiring):
             )
         raise NotTranslated("libraries link to each other in a circle")
 
-    def _body(self, block: SimulinkBlock, names: dict[str, Value], at: str) -> tuple[System | None, SimulinkBlock]:
+    def _body(
+        self, block: SimulinkBlock, names: dict[str, Value], at: str, around: System
+    ) -> tuple[System | None, SimulinkBlock]:
         """Return what is inside a block, and who has its mask: itself, or a variant's active choice."""
         if block.kind in CODED:
             return None, block
@@ -277,7 +280,7 @@ class _Import(Wiring):
             inside = f"{below(at, choice)}/"  # its code stands in place of the variant's
             own = [path for path in self.code if path.startswith(inside)]
             self.code |= {f"{at}/{path.removeprefix(inside)}": self.code[path] for path in own}
-            return self._body(self._linked(choice, at), names, at)
+            return self._body(self._linked(choice, at), names, at, around)
         if block.type == "SubSystem" and (file := block.values.get("ReferencedSubsystem", "")):
             self._take_code(file, "", at)
             return self._file(file).root, block
@@ -285,7 +288,7 @@ class _Import(Wiring):
             return self._referenced(block, names, at), block
         system = block.system
         if system is not None and any(one.type == "ForEach" for one in system.blocks.values()):
-            system, copies = with_each(system, names)
+            system, copies = with_each(system, names, around, block)
             self._copy_code(at, copies)
         elif system is not None and any(one.type in ITERATED for one in system.blocks.values()):
             system, self.iterated[f"{at}/turn"] = with_iterated(system, names)
@@ -506,13 +509,7 @@ class _Import(Wiring):
                 found = next((key for key in waiting if self._backwards(key) and self._known(key)), None)
                 early += [found] if found is not None else []
                 found = found or next((key for key in waiting if self.blocks[key].kind not in (*RULES, *CODED)), None)
-                # An element of a bus may hang on another one of the same bus.
-                creators = (key for key in waiting if found is None and self.blocks[key].type == "BusCreator")
-                elements = (
-                    one[:2] for key in creators for one in sorted(waiting[key] - self.signals.keys()) if one[2] == 1
-                )
-                loop = next((one for one in elements if one in waiting and one not in broken), None)
-                loop = loop or (self._in_circle(waiting, broken) if found is None else None)  # an algebraic one
+                loop = self._in_circle(waiting, broken) if found is None else None  # also of a bus's elements
                 if loop is None:
                     ready += [found] if found is not None else list(waiting)[:1]
                     continue

@@ -23,6 +23,7 @@ from twodof.slx.model import (
     System,
     below,
     collapsed,
+    one_spaced,
     read_model,
     source_file,
 )
@@ -99,7 +100,8 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
     named = Counter(source_file(one) for _, one in blocks if one.type == "Reference" or source_file(one))
     libraries = tuple(_library(name, count, folders) for name, count in named.most_common())
     lines = [line for _, system in systems for line in system.lines]
-    outside = set(enumerations(model.texts(), folders))
+    files = needed_files(model, folders)
+    outside = set(enumerations((text for one in (model, *files) for text in one.texts()), folders))
     with suppress(DiagramError):  # a dictionary that is not found: its names have no value
         outside |= set(dictionary(model.dictionary, folders))
     return Inspection(
@@ -113,7 +115,7 @@ def inspect(model: Model, folders: Sequence[Path] = ()) -> Inspection:
         libraries,
         tuple(sorted(one.path for one in model.charts if one.function)),
         tuple(sorted(one.path for one in model.charts if not one.function)),
-        unresolved(model, _files(model, folders), outside),
+        unresolved(model, files, outside),
         sum(one.commented for _, one in blocks),
         sum(line.source is None or next(line.wire.sinks(), None) is None for line in lines),
     )
@@ -139,15 +141,16 @@ def library_file(name: str, folders: Iterable[Path]) -> Path | None:
     return next((at for one in candidates for end in SUFFIXES if (at := one / f"{name}{end}").is_file()), None)
 
 
-def _files(model: Model, folders: Sequence[Path]) -> list[Model]:
+def needed_files(model: Model, folders: Sequence[Path]) -> list[Model]:
     """Return the libraries, subsystems and models in the folders that a model needs, and those that they need."""
     found: dict[str, Model] = {}
     waiting = [model]
     while waiting:
         for name in {source_file(one) for _, one in waiting.pop().blocks() if not one.commented} - found.keys():
             if name not in OWN_LIBRARIES and (file := library_file(name, folders)) is not None:
-                found[name] = read_model(file)
-                waiting.append(found[name])
+                with suppress(DiagramError):  # one that cannot be read is refused where it is asked for
+                    found[name] = read_model(file)
+                    waiting.append(found[name])
     return list(found.values())
 
 
@@ -178,7 +181,7 @@ class _Names:
                 continue
             at, own = below(path, block), (place[0], below(place[1], block))
             inner, mask, seen = block.system, block.mask, known
-            file, link = self.files.get(source_file(block)), collapsed(block.values.get("SourceBlock", ""))
+            file, link = self.files.get(source_file(block)), one_spaced(block.values.get("SourceBlock", ""))
             if file is not None and block.type == "Reference":
                 inside = self.library_blocks.get(link)
                 inner, mask = (None, None) if inside is None else (inside.system, inside.mask)

@@ -5,7 +5,9 @@ The expressions of the blocks, recorded once each, are computed in the order in 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import takewhile
+from operator import and_
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,9 @@ from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.numbers import FLOATS, STORED
 from twodof.blocks.library import DataStore, StoreRead, StoreWrite, UnitDelay
 from twodof.blocks.trace import computed
+from twodof.slx.matlab.evaluation import Evaluation
+from twodof.slx.matlab.program import call, of_library
+from twodof.slx.matlab.values import as_array, filled
 from twodof.slx.translation import NotTranslated
 
 Key = tuple[str, str]
@@ -233,12 +238,10 @@ class Solved(Joined):
             left, steps = _elements(distance(_joined(z))), [(abs(one) + 1.0) * 2.0**-12 for one in z]
             moved = ([*z[:k], z[k] + step, *z[k + 1 :]] for k, step in enumerate(steps))
             ahead = [_elements(distance(_joined(one))) for one in moved]
-            rows = [[*((there[r] - left[r]) / step for there, step in zip(ahead, steps, strict=True)), left[r]]
-                    for r in range(len(z))]  # fmt: skip
-            there = left[0] == 0.0
-            for one in left[1:]:
-                there = there & (one == 0.0)
-            return [where(there, one, one - move) for one, move in zip(z, _eliminated(rows), strict=True)]
+            slopes = [(a - b) / step for there, step in zip(ahead, steps, strict=True)
+                      for a, b in zip(there, left, strict=True)]  # fmt: skip
+            there = reduce(and_, (one == 0.0 for one in left))
+            return [where(there, one, one - move) for one, move in zip(z, _solution(slopes, left), strict=True)]
 
         z = list(fold(TURNS, _elements(u.guess), turn))
         left = _elements(distance(_joined(z)))
@@ -277,18 +280,12 @@ def _joined(elements: Sequence[Any]) -> Any:
     return vector(list(elements)) if len(elements) > 1 else elements[0]
 
 
-def _eliminated(rows: list[list[Any]]) -> list[Any]:
-    """Return the solution of a system, each row with its right side at the end, by elimination with pivoting."""
-    for k in range(len(rows)):
-        for r in range(k + 1, len(rows)):
-            pair, swaps = list(zip(rows[k], rows[r], strict=True)), abs(rows[r][k]) > abs(rows[k][k])
-            rows[k], rows[r] = [where(swaps, b, a) for a, b in pair], [where(swaps, a, b) for a, b in pair]
-        pivot = rows[k][k]
-        rows[k] = [one / pivot for one in rows[k]]
-        for r, row in enumerate(rows):
-            if r != k:
-                rows[r] = [one - row[k] * above for one, above in zip(row, rows[k], strict=True)]
-    return [row[-1] for row in rows]
+def _solution(slopes: list[Any], left: list[Any]) -> list[Any]:
+    """Return the solution of a system of equations, by elimination with pivoting; its columns are side by side."""
+    code, count = of_library("mldivide"), len(left)
+    assert code is not None
+    given = [filled((count, count), slopes), filled((count, 1), left)]
+    return list(as_array(call(code, code.main, given, Evaluation({}))["x"]).flat)
 
 
 def _port(network: Network, key: Key) -> Any:

@@ -1,7 +1,7 @@
 """Plain values of a Simulink file: found behind the fence; `model` makes objects of it."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import zip_longest
 from typing import Any
 
@@ -150,16 +150,18 @@ def _chart(chart: Element, root: Element) -> tuple[str, bool, str, dict[str, Any
         if (within := re.match(r"\[(\d+)", _value(one, "treeNode") or _value(one, "linkNode"))) is not None:
             beside.setdefault(within[1], []).append(one)
     form = _form(chart, 0, beside)
-    texts = [(name.rpartition("/")[2], text) for one in (form, *_inside(form)) for name, text in one["values"].items()]
+    texts = [
+        (name.rpartition("/")[2], text) for one in (form, *parts_inside(form)) for name, text in one["values"].items()
+    ]
     scripts, labels = ([text for name, text in texts if name == kind] for kind in ("script", "labelString"))
     function = _value(chart, "type") == "EML_CHART" or (bool(scripts) and len(labels) <= 1)
     return _value(chart, "name"), function, "\n".join(scripts if function else [*labels, *scripts]), form
 
 
-def _inside(form: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def parts_inside(form: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
     """Yield the parts inside a part of a chart."""
     for one in form["inside"]:
-        yield from (one, *_inside(one))
+        yield from (one, *parts_inside(one))
 
 
 def _form(part: Element, depth: int, beside: dict[str, list[Element]]) -> dict[str, Any]:
