@@ -154,6 +154,11 @@ def test_recorded_flights_are_named_by_their_gains() -> None:
     assert [log_summary(log)["tuned"] for log in logs.values()] == [[], [["ATT_KP", 5.0]]]
 
 
+def test_flights_of_two_drones_are_named_by_them() -> None:
+    logs = {str(k): FlightLog(flight(10.0).channels, {"drone": {"system": k, "controller": "stock"}}) for k in (1, 2)}
+    assert flight_names(logs) == {"1": "drone 1", "2": "drone 2"}
+
+
 @pytest.mark.parametrize(
     ("names", "window", "said"),
     [

@@ -72,7 +72,7 @@ def common_steps(logs: Mapping[str, FlightLog]) -> tuple[dict[str, tuple[FlownSt
 
 
 def flight_names(logs: Mapping[str, FlightLog]) -> dict[str, str]:
-    """Return a name for each flight by what differs among them: the controller, and up to three parameters.
+    """Return a name for each flight by what differs among them: drone, controller and parameters, up to three.
 
     Parameters count if all flights tell them, with the values that a flight ended with. Flights that agree in these get
     the time at which they were recorded as well, or their key.
@@ -90,12 +90,14 @@ def flight_names(logs: Mapping[str, FlightLog]) -> dict[str, str]:
 
 
 def _flown_with(log: FlightLog) -> dict[str, float | str]:
-    """Return the controller and the values of the parameters that a flight ended with."""
+    """Return drone and controller in words, and the values of the parameters that a flight ended with."""
     told, values = log.provenance, dict[str, float | str]()
-    for source in (told.get("drone"), told.get("flown")):
-        if isinstance(source, dict) and isinstance(source.get("controller"), str):
-            values["controller"] = source["controller"]
     drone, changes = told.get("drone"), told.get("changes")
+    if isinstance(drone, dict) and isinstance(drone.get("system"), int):
+        values["drone"] = f"drone {drone['system']}"
+    for source in (drone, told.get("flown")):
+        if isinstance(source, dict) and isinstance(source.get("controller"), str):
+            values["controller"] = f"{source['controller']} controller"
     parameters = told.get("parameters", drone.get("parameters") if isinstance(drone, dict) else None)
     rows = [*parameters.items()] if isinstance(parameters, dict) else []
     if isinstance(parameters, dict) and "ulog" not in told:  # these are the ones that differ from the defaults
@@ -106,7 +108,7 @@ def _flown_with(log: FlightLog) -> dict[str, float | str]:
 
 
 def _named(name: str, value: float | str) -> str:
-    return f"{value} controller" if isinstance(value, str) else f"{name} {value:.4g}"
+    return value if isinstance(value, str) else f"{name} {value:.4g}"
 
 
 def comparison_view(
