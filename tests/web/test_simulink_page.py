@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.lab.served import COMMAND, Served, served
 from tests.slx.files import slx, written
 from tests.web.conftest import OpenPage, axe, readable
+from tests.web.test_diagram_page import COVERED
 
 pytestmark = pytest.mark.slow
 
@@ -32,6 +33,18 @@ OPAQUE = """
 <Line><P Name="Src">1#out:1</P><P Name="Dst">2#in:1</P></Line>
 <Line><P Name="Src">2#out:1</P><P Name="Dst">3#in:1</P></Line>
 """
+
+
+CLOSE = """
+<Block BlockType="Inport" Name="u" SID="1"><P Name="Position">[10, 108, 40, 122]</P></Block>
+<Block BlockType="Gain" Name="a" SID="2"><P Name="Position">[70, 100, 100, 130]</P></Block>
+<Block BlockType="Gain" Name="b" SID="3"><P Name="Position">[115, 100, 145, 130]</P></Block>
+<Block BlockType="Outport" Name="y" SID="4"><P Name="Position">[175, 108, 205, 122]</P></Block>
+<Line><P Name="Src">1#out:1</P><P Name="Dst">2#in:1</P></Line>
+<Line><P Name="Src">2#out:1</P><P Name="Dst">3#in:1</P></Line>
+<Line><P Name="Src">3#out:1</P><P Name="Dst">4#in:1</P></Line>
+"""
+"""Two gains of Simulink's size, side by side."""
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +82,15 @@ def test_a_dropped_model_is_looked_at_and_imported(server: Served, open_page: Op
     expect(dialog).to_be_hidden()
     expect(page.locator(".svelte-flow__node[data-id='p:Saturation']")).to_be_visible()
     expect(page.get_by_role("heading", level=1)).to_contain_text("Diagram")
+
+
+def test_imported_blocks_do_not_cover_each_other(server: Served, open_page: OpenPage, tmp_path: Path) -> None:
+    page = open_page(f"http://{server.host}/?token={COMMAND}#/diagram?starter=pid-attitude")
+    body = f"<ModelInformation><Model><System>{CLOSE}</System></Model></ModelInformation>"
+    drop(page, slx({"simulink/blockdiagram.xml": body}, tmp_path / "close.slx"))
+    page.get_by_role("button", name="Import the whole model").click()
+    expect(page.locator(".svelte-flow__node[data-id='p:b']")).to_be_visible()
+    assert page.evaluate(COVERED) == []
 
 
 def test_unsaved_changes_are_not_lost_by_an_import(server: Served, open_page: OpenPage, tmp_path: Path) -> None:

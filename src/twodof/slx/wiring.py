@@ -335,8 +335,8 @@ class Wiring(Connections):
 
 
 def _corner(block: SimulinkBlock) -> tuple[float, float] | None:
-    place = block.place
-    return None if place is None else place[:2]
+    """Return the place in the editor, whose blocks are twice as large as Simulink's."""
+    return None if block.place is None else (2 * block.place[0], 2 * block.place[1])
 
 
 def safe(name: str, taken: set[str]) -> str:
