@@ -130,6 +130,7 @@ class RigState:
     rings_locked: bool = False
     safety_off: bool = False
     changed: int = 0
+    noise: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -236,6 +237,7 @@ class StateTracker:
             bool(flags & RINGS),
             bool(flags & SAFETY_OFF),
             got.changed,
+            got.noise,
         )
         self._change(rig=rig)
 

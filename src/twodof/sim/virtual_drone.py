@@ -169,6 +169,7 @@ class VirtualRig:
 
     def _take_conditions(self) -> None:
         self.seed, self.rings = int(self.machine.get("seed")), bool(self.machine.get("rings"))
+        self.noise = float(self.machine.get("noise"))
 
 
 class VirtualDrone:

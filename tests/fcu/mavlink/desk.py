@@ -46,7 +46,7 @@ class Code:
 class Bench:
     """Stands for a virtual rig."""
 
-    name, virtual, seed, rings, safety_off = "bench", True, 7, False, True
+    name, virtual, seed, noise, rings, safety_off = "bench", True, 7, 1.0, False, True
 
     def read(self) -> SensorSample:
         """Return the sample of a rig at rest."""
@@ -67,7 +67,7 @@ class Bench:
             raise ParameterError(f"x = {x:g} is beyond the rail", "x", "start inside")
         if not 0.0 <= noise < 1e6:
             raise ParameterError(f"a noise of {noise:g}", "noise", "give 0 or more")
-        self.seed, self.rings = seed, rings
+        self.seed, self.noise, self.rings = seed, noise, rings
         return {}
 
 

@@ -230,7 +230,7 @@ def test_the_rig_says_what_it_is() -> None:
     world.controller.hardware.name = "a name longer than sixteen characters"
     got = told(54206, world)
     assert (got.seed, got.diagram, got.tick_us, got.flags) == (7, 2**64 - 1, 4000, 2 | 4 | 8)
-    assert (got.name, got.controller) == ("a name longer th", "mine")
+    assert (got.name, got.controller, got.noise) == ("a name longer th", "mine", 0.25)
 
 
 def test_timing_is_the_controllers() -> None:

@@ -123,9 +123,9 @@ def test_a_reset_begins_again_at_tick_0_and_keeps_the_lease() -> None:
     desk.say(ask())
     desk.run(100)
     left = desk.commander.lease.left
-    desk.say(reset(seed=12, x=0.1, rings=1))
+    desk.say(reset(seed=12, x=0.1, noise=0.5, rings=1))
     (told,) = desk.taken("TWODOF_RIG")
-    assert (told.tick, told.seed, told.flags & 17) == (0, 12, 1)
+    assert (told.tick, told.seed, told.noise, told.flags & 17) == (0, 12, 0.5, 1)
     lease = desk.commander.lease
     assert (lease.holder, lease.left, lease.revision) == (ME, left, 1)
     desk.arm()

@@ -45,6 +45,7 @@ class Rig:
     name: str = "scripted"
     virtual: bool = True
     seed: int = 7
+    noise: float = 0.25
     rings: bool = False
     safety_off: bool = True
 

@@ -89,6 +89,10 @@ class Hardware(Protocol):
         """Return the seed of a virtual rig's noise; 0 for a real one."""
 
     @property
+    def noise(self) -> float:
+        """Return the scale of a virtual rig's noise."""
+
+    @property
     def rings(self) -> bool:
         """Return whether the rings lock the cart: pitch only."""
 

@@ -285,7 +285,8 @@ class TelemetryEncoders:
         flags |= on_top | (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
         names = hardware.name.encode()[:16], what.controller.encode()[:24]
         return self._pack_rig(
-            hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names, controller.started_as, what.changed
+            *(hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names),
+            *(controller.started_as, what.changed, hardware.noise),
         )
 
     def _add(self, name: str, values: Callable[[], tuple[Any, ...] | None], fields: str = "") -> None:
