@@ -102,11 +102,12 @@ unanswered stands still, as a frozen tab does whose browser keeps the socket ope
 command is levelled and disarmed, as where they have left. Who never answers is there for as long as its socket is.
 
 The `state` of a drone has `link` ("heard" or "lost"), `why_lost`, `armed`, `mode`, `safety_switch`, `killed`,
-`killed_by` [system, component], `failsafe` (what it does), `failsafe_reason` and `warnings` in words, `lease_holder`
-[system, component], `ours_leases` (the server commands it), `experiment` (one that the server began flies it),
-`tuning_withheld`, `controller`, `changed_parameters`, `setpoint` (as asked for last), `excitation` (its ticks while it
-plays), `recording` (name of the log that is written), `battery` (`voltage` [V], `charge` 0 to 1), `rings_locked`,
-`virtual`, `lockstep`, `rig`, `seed`, `name`, `system`, `url`, `autopilot`, `ours` (it is one of ours) and `time` [s].
+`killed_by` [system, component], `ours_killed` (by this server), `failsafe` (what it does), `failsafe_reason` and
+`warnings` in words, `lease_holder` [system, component], `ours_leases` (the server commands it), `experiment` (one that
+the server began flies it), `tuning_withheld`, `controller`, `changed_parameters`, `setpoint` (as asked for last),
+`excitation` (its ticks while it plays), `recording` (name of the log that is written), `battery` (`voltage` [V],
+`charge` 0 to 1), `rings_locked`, `virtual`, `lockstep`, `rig`, `seed`, `noise`, `name`, `system`, `url`, `autopilot`,
+`ours` (it is one of ours) and `time` [s].
 """
 
 

@@ -13,6 +13,7 @@ export interface DroneState {
   safety_switch: "on" | "off";
   killed: boolean;
   killed_by: readonly [number, number] | null;
+  ours_killed: boolean;
   /** What the failsafe does: "none", "level", "brake", "descend", "off". */
   failsafe: string;
   failsafe_reason: string;
@@ -28,6 +29,7 @@ export interface DroneState {
   changed_parameters: number;
   rings_locked: boolean;
   seed: number;
+  noise: number;
   battery: { voltage: number | null; charge: number | null };
 }
 
@@ -63,8 +65,8 @@ export const takeLease = (drone: number) => send<DroneState>("POST", `drones/${d
 export const giveLeaseBack = (drone: number) => send<DroneState>("DELETE", `drones/${drone}/lease`);
 export const reset = (drone: number, how: Reset) => send<DroneState>("POST", `drones/${drone}/reset`, how);
 /** Put a virtual drone to the middle of the rail, at rest. */
-export const restart = ({ system, seed, rings_locked }: DroneState, rings = rings_locked) =>
-  reset(system, { seed: seed || 1, x: 0, noise: 1, rings });
+export const restart = ({ system, seed, noise, rings_locked }: DroneState, rings = rings_locked) =>
+  reset(system, { seed: seed || 1, x: 0, noise, rings });
 
 /** Set a set-point, SI. The server repeats it to the drone. */
 export function setSetpoint(drone: number, loop: Loop, value: number, thrust?: number): Promise<DroneState> {

@@ -33,8 +33,6 @@ TIME, TIME_HZ = "ATTITUDE", 20.0
 """Message with the drone's time, and its rate [Hz]."""
 FAST_HZ = 10.0
 """Messages that come at this rate or faster are stopped: batches have the samples."""
-_PASSES = frozenset({"time"})
-"""Fields that change all the time: without another change a state is sent once a second."""
 
 
 def state_of(drone: AsyncDrone) -> dict[str, Any]:
@@ -72,6 +70,7 @@ def state_of(drone: AsyncDrone) -> dict[str, Any]:
         "changed_parameters": rig.changed,
         "rings_locked": rig.rings_locked,
         "seed": rig.seed,
+        "noise": round(rig.noise, 6),
         "battery": {"voltage": _known(state.battery.voltage), "charge": _known(state.battery.charge)},
         "rig": rig.name,
     }
@@ -135,6 +134,7 @@ class DroneConnection:
         playback = drone.exciter.playback
         plays = playback is not None and playback.state in ("waiting", "playing")
         return state_of(drone) | {
+            "ours_killed": drone.state.safety.killed_by in self._lab_drone.sources,
             "setpoint": self.asked,
             "excitation": {"start_tick": playback.start_tick, "end_tick": playback.end_tick}
             if plays and playback is not None
@@ -145,13 +145,11 @@ class DroneConnection:
 
     async def _report(self) -> None:
         """Send the state at each change, and once a second."""
-        told: dict[str, Any] = {}
-        session = self.drone.session
-        due = 0.0
+        told, due, session = dict[str, Any](), 0.0, self.drone.session
         while True:
             session.check(session.now)
             state = self.report()
-            steady = {key: value for key, value in state.items() if key not in _PASSES}
+            steady = {key: value for key, value in state.items() if key != "time"}
             if steady != told or session.now >= due:
                 told, due = steady, session.now + REPORT_ANYWAY_S
                 self._lab_drone.tell("drone", state=state)
@@ -161,7 +159,8 @@ class DroneConnection:
 class LabDrone:
     """Drone at `url`, kept connected. `number` is its MAVLink system, 0 before the first heartbeat.
 
-    `texts` are the last lines of text from the drone and about it, with the time [s] as in its logs.
+    `texts` are the last lines of text from the drone and about it, with the time [s] as in its logs. `sources` has
+    system and component of each connection that this server has had to it.
     """
 
     def __init__(self, url: str, settings: LabSettings, audience: Audience) -> None:
@@ -172,7 +171,7 @@ class LabDrone:
         self._connection: DroneConnection | None = None
         self._why_lost = "the drone was not heard yet"
         self._last: dict[str, Any] = {}
-        self._lendings = 0
+        self.sources, self._lendings = set[tuple[int, int]](), 0
 
     @property
     def state(self) -> dict[str, Any]:
@@ -224,6 +223,7 @@ class LabDrone:
     async def _attend(self, drone: AsyncDrone) -> None:
         session = drone.session
         self.number = session.system
+        self.sources.add((session.connection.system, session.connection.component))
         session.on(lambda line: self.say(line.severity, line.text), StatusText)
         # Subscriptions are gone after a restart: a new session asks for all of them again.
         restarted = LinkLost("it has restarted", session.url, "try again in a moment")
