@@ -64,6 +64,19 @@ def test_the_page_survives_a_lost_link(lab_server: LabServer, open_page: OpenPag
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
 
 
+def test_a_stop_that_a_silent_server_does_not_hear_is_named(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link, expects=GONE)
+    armed(page)
+    with lab_server.stopped("lab"):
+        expect(page.get_by_text("No connection to the server.", exact=True).first).to_be_visible()
+        page.keyboard.press("F8")
+        expect(page.get_by_text(f"The stop has not reached drone {lab_server.drone}.")).to_be_visible(timeout=2000)
+        expect(page.get_by_text("motors off")).to_have_count(0)
+    expect(page.get_by_text("the motors stay off until the stop is released")).to_be_visible()
+    lab_server.until(killed=True)
+    expect(page.get_by_text("Stopped from a page")).to_be_visible()  # also where the server lost the command meanwhile
+
+
 @pytest.mark.long
 def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=REFUSED)
@@ -84,6 +97,7 @@ def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPa
             assert above
             assert above["y"] + above["height"] <= inside["y"] + 1, "it covers what is shown"
             page.get_by_role("button", name="STOP F8").click(trial=True)  # refused if anything covers it
+            page.get_by_role("link", name="Logs", exact=True).click(trial=True)
             picture(page, f"message-{size[0]}")
         page.set_viewport_size({"width": SIZES["wide"][0], "height": SIZES["wide"][1]})
     expect(page.get_by_text("Not commanded").first).to_be_visible()

@@ -12,8 +12,7 @@ export const LONGEST_MS = 60_000;
 
 export type Stop =
   | { kind: "idle" }
-  | { kind: "sent"; drones: number[] }
-  | { kind: "waiting"; drones: number[]; until: Date }
+  | { kind: "sent" | "waiting"; drones: number[]; until: Date }
   | { kind: "done"; drones: number[] }
   | { kind: "failed"; drones: number[]; why: string };
 
@@ -29,8 +28,8 @@ class EmergencyStop {
   async stop(drones: number[]): Promise<void> {
     if (drones.length === 0) return;
     const mine = (this.presses += 1);
-    this.last = { kind: "sent", drones };
     const until = new Date(Date.now() + LONGEST_MS);
+    this.last = { kind: "sent", drones, until };
     const goesOn = (): boolean => {
       if (mine !== this.presses || Date.now() >= until.getTime()) return false;
       this.last = { kind: "waiting", drones, until };
