@@ -16,6 +16,8 @@ from tests.lab.served import COMMAND, Served, served
 from tests.patience import patiently
 from tests.web.conftest import OpenPage, axe, picture, readable
 from tests.web.written_diagrams import odd_diagram, wide_diagram
+from twodof.blocks import Diagram
+from twodof.blocks.library import Gain
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.flight.starters import starter
 
@@ -401,6 +403,20 @@ def test_blocks_are_commented_grouped_and_given_parameters(server: Served, open_
     assert saved.params["rate_limit_high"].value == 20.0
     assert saved.parts["rate_limit"].params == {"high": "rate_limit_high"}
     assert saved.parts["pid"].commented == "through"
+
+
+def test_margins_end_with_their_diagram(server: Served, open_page: OpenPage) -> None:
+    loose = Diagram("loose")
+    loose.input("u")
+    loose.add("k", Gain(2), u="u")
+    loose.output("y", "k")
+    keep(server, "loose", to_json(loose))
+    page = drawn(open_page(link(server, "?starter=pid-attitude")))
+    page.get_by_role("tab", name="Margins").click()
+    expect(page.get_by_text("On the lab rig, at 250 Hz")).to_be_visible()
+    page.evaluate("location.hash = '#/diagram/loose'")
+    expect(page.get_by_text("Margins need a diagram that fits a template")).to_be_visible()
+    expect(page.get_by_role("rowheader", name="gain margin")).to_have_count(0)
 
 
 def test_a_refused_block_is_named_and_not_simulated(server: Served, open_page: OpenPage) -> None:
