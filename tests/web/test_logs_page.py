@@ -224,6 +224,15 @@ def test_topics_of_another_vehicle_are_plotted(logs_server: Served, flights: Pat
     (flights / "flights" / "my rover.ulg").unlink()
 
 
+def test_a_log_is_opened_by_keys(logs_server: Served, open_page: OpenPage) -> None:
+    page = open_page(link(logs_server))
+    page.get_by_role("link", name="attitude-steps").first.press("Enter")
+    opened(page)
+    expect(page.locator("main")).to_be_focused()  # the link that was followed is gone
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("link", name="All logs")).to_be_focused()
+
+
 def test_a_log_is_uploaded_noted_downloaded_and_restored(
     logs_server: Served, flights: Path, open_page: OpenPage, tmp_path: Path
 ) -> None:

@@ -102,6 +102,30 @@ def test_a_value_out_of_bounds_is_refused(lab: ServedLab, open_page: OpenPage) -
     assert axe(page) == []
 
 
+def test_the_field_is_as_wide_as_its_slider(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, "?search=RATE_KP"))
+    edit(page, "RATE_KP", "0.07")
+    undo = page.get_by_role("button", name="Undo the edit of RATE_KP")
+    slider, box = (
+        page.get_by_role("slider", name="RATE_KP").bounding_box(),
+        page.locator(".field-box", has=field(page, "RATE_KP")).bounding_box(),
+    )
+    assert slider
+    assert box
+    assert (box["x"], box["width"]) == pytest.approx((slider["x"], slider["width"]), abs=4.0)
+    undo.click(trial=True)
+
+
+def test_a_lost_server_is_not_taken_for_a_missing_drone(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab).replace("tune", "logs"), expects=("WebSocket", "ERR_"))
+    page.route_web_socket("**/api/telemetry*", lambda socket: socket.close())
+    page.route("**/api/drones", lambda route: route.abort())
+    page.goto(link(lab))
+    page.reload()
+    expect(page.get_by_role("heading", name="No connection to the server")).to_be_visible()
+    expect(page.get_by_text("Start one in a shell")).to_have_count(0)
+
+
 def test_the_parameters_come_after_a_failed_request(lab: ServedLab, open_page: OpenPage) -> None:
     """A drone that is reset just then refuses; the page asks again by itself, for the models too."""
     page = open_page(link(lab).replace("tune", "logs"), expects=("503",))

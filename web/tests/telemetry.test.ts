@@ -71,6 +71,16 @@ describe("the socket", () => {
     expect(two.mock.calls.length).toBe(1);
   });
 
+  it("ends a subscription also where the server is silent for a while", () => {
+    telemetry.start();
+    last().open();
+    const stop = telemetry.subscribe(1, ["estimate.q"], 250, () => {});
+    vi.advanceTimersByTime(3000);
+    stop();
+    last().tell(JSON.stringify({ event: "alive" }));
+    expect(last().said).toContainEqual({ do: "unsubscribe", id: 1 });
+  });
+
   it("answers that it is there, since the browser would say so for a page that is frozen", () => {
     const heard = vi.fn();
     telemetry.onEvent(heard);

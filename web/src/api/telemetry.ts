@@ -91,7 +91,8 @@ export class Telemetry {
     if (this.connected) this.ask(id);
     return () => {
       this.refused.delete(id);
-      if (this.subscriptions.delete(id) && this.connected) this.socket?.send(JSON.stringify({ do: "unsubscribe", id }));
+      if (this.subscriptions.delete(id) && this.socket?.readyState === OPEN)
+        this.socket.send(JSON.stringify({ do: "unsubscribe", id })); // a server that is silent reads it later
     };
   }
 
