@@ -91,6 +91,16 @@ def test_the_stop_works_on_every_page(lab_server: LabServer, open_page: OpenPage
     lab_server.until(killed=True, armed=False)
 
 
+def test_the_controls_are_where_the_drone_is(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    flying(page)
+    flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.03)
+    page.get_by_role("link", name="Logs", exact=True).click()
+    page.get_by_role("link", name="Fly", exact=True).click()
+    expect(page.get_by_role("tab", name="Position")).to_have_attribute("aria-selected", "true")
+    expect(page.get_by_label("Position x, number")).to_have_value("0.1")
+
+
 def test_a_reset_keeps_the_noise(lab_server: LabServer, open_page: OpenPage) -> None:
     lab_server.tell("reset", {"seed": 3, "x": 0.0, "noise": 0.0, "rings": False})
     page = open_page(f"{lab_server.link}#/tune")
