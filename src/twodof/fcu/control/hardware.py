@@ -89,10 +89,6 @@ class Hardware(Protocol):
         """Return the seed of a virtual rig's noise; 0 for a real one."""
 
     @property
-    def noise(self) -> float:
-        """Return the scale of a virtual rig's noise."""
-
-    @property
     def rings(self) -> bool:
         """Return whether the rings lock the cart: pitch only."""
 
@@ -119,6 +115,10 @@ class VirtualHardware(Hardware, Protocol):
     @property
     def truth(self) -> tuple[float, float, float, float]:
         """Return pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
+
+    @property
+    def noise(self) -> float:
+        """Return the scale of the noise."""
 
     def reset(
         self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None

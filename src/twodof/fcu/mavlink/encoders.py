@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable
 from functools import partial
 from math import cos, isfinite, nan, sin
-from typing import Any
+from typing import Any, cast
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControllerIdentity, ControlStep
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import SensorSample, VirtualHardware
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.service import MASK_32
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
@@ -284,9 +284,10 @@ class TelemetryEncoders:
         flags = (RINGS if hardware.rings else 0) | (SAFETY_OFF if hardware.safety_off else 0)
         flags |= on_top | (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
         names = hardware.name.encode()[:16], what.controller.encode()[:24]
+        noise = cast(VirtualHardware, hardware).noise if hardware.virtual else 0.0
         return self._pack_rig(
             *(hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names),
-            *(controller.started_as, what.changed, hardware.noise),
+            *(controller.started_as, what.changed, noise),
         )
 
     def _add(self, name: str, values: Callable[[], tuple[Any, ...] | None], fields: str = "") -> None:

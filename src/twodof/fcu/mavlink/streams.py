@@ -191,7 +191,7 @@ class ChangeDetector:
             found.append(SAFETY)
         hardware, commander = self._controller.hardware, self._commander
         now = {
-            RIG: (hardware.rings, hardware.safety_off, hardware.seed, hardware.noise),
+            RIG: (hardware.rings, hardware.safety_off, hardware.seed),
             LEASE: (commander.lease.holder, commander.lease.tuning_withheld),
             OPENLOOP: (commander.openloop.revision,),
         }
