@@ -309,6 +309,17 @@ def test_work_on_matrices_is_bounded(code: str, why: str) -> None:
     assert "K" not in names
 
 
+def test_braces_on_a_number_are_an_error(tmp_path: Path) -> None:
+    """As in MATLAB; a table and a cell array have elements in braces."""
+    (tmp_path / "two.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    names: dict[str, Value] = {}
+    script = "n = readmatrix('two.csv'); c = {4}; x = c{1};\nz = x{1};\nz = n{1, 2};\n"
+    script += "t = readtable('two.csv'); b = t{1, 2};"
+    why = "this is no cell array, or one of more than two dimensions"
+    assert [(one.line, one.why) for one in run(script, names, [tmp_path])] == [(2, why), (3, why)]
+    assert np.asarray(names["b"]).tolist() == [[2.0]]
+
+
 def test_a_third_dimension_is_skipped_with_its_line() -> None:
     names: dict[str, Value] = {}
     (skipped,) = run("a = 1;\nA(1, 2, 3) = 4;\nb = 2;", names)

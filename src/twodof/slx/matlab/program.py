@@ -32,6 +32,7 @@ from twodof.slx.matlab.values import (
     Cells,
     Members,
     NotComputed,
+    Table,
     Value,
     as_array,
     class_of,
@@ -467,8 +468,8 @@ class Program:
                 return _of_kind(given[0], "int32", self.wraps)
             return value(self, given) if callable(value) else indexed(value, given)
         if step.kind == "{":
-            if isinstance(value, np.ndarray):  # a table
-                return indexed(value, self.arguments(step.parts, value))
+            if isinstance(value, Table):
+                return indexed(np.asarray(value), self.arguments(step.parts, value))
             if not isinstance(value, Cells) or len(step.parts) > 2:
                 raise NotComputed("this is no cell array, or one of more than two dimensions")
             return value.cell(*(int(scalar(self.value(one))) for one in step.parts))
@@ -600,7 +601,8 @@ class Program:
         if name in ("readtable", "readmatrix", "csvread") and arguments:
             if len(arguments) > 1:
                 raise NotComputed(f"{name} with more than the name of a file is not computed")
-            return self.code.table(arguments[0])
+            table = self.code.table(arguments[0])
+            return table.view(Table) if name == "readtable" else table
         if name == "exist" and arguments:
             return np.array([[float(arguments[0] in self.evaluation.names)]])
         name, arguments = (arguments[0], arguments[1:]) if name == "feval" and arguments else (name, arguments)

@@ -30,6 +30,10 @@ KINDS = {
 }  # fmt: skip
 
 
+class Table(np.ndarray):
+    """Numbers of a table, of which braces take elements too."""
+
+
 class Members(dict[str, Value]):
     """An enumeration: the numbers of its members by name."""
 
