@@ -104,7 +104,45 @@ def test_step_of_a_closed_loop_is_that_in_closed_form(period: float | None) -> N
     assert abs(value[-1] - 1.0) < 0.02
 
 
+@pytest.mark.parametrize(
+    ("plant", "law", "period"),
+    [
+        ("1 / (s + 1)^3", "6", None),  # settles long after its crossover's 60 radians
+        ("1 / (s + 1)", "10 + 0.1 / s", None),  # a slow integral's tail
+        ("1 / (s^2 + 0.06 s + 1)", "1", None),
+        ("1 / (s + 1)", "10 + 0.1 / s", 0.05),
+    ],
+)
+def test_a_step_response_goes_on_until_it_has_settled(plant: str, law: str, period: float | None) -> None:
+    loop = own_loop(read_rational(plant), read_rational(law), period)
+    time, value = step_response(margins(loop))
+    closed = control.feedback(loop.state_space())
+    longer = np.arange(20 * time.size) * (time[1] - time[0])
+    theirs = control.step_response(closed, longer[: max(time.size, 200_000)]).outputs
+    assert value == pytest.approx(theirs[: time.size], abs=1e-8)
+    final = float(closed.dcgain())
+    settled = np.flatnonzero(np.abs(theirs - final) > 0.02 * abs(final))[-1]
+    assert settled < time.size - 1
+    assert abs(value[-1] - final) < 0.01 * abs(final)
+
+
+@pytest.mark.parametrize("text", ["30 / s", "30 exp(-0.02 s) / s", "1e-7 / s", "1e8 / (s (s + 1))"])
+def test_python_control_finds_the_crossover_of_integrators(text: str) -> None:
+    loop = read_rational(text).transfer()
+    _, phase, _, crossover = control.margin(loop.to_control())
+    found = margins(loop)
+    assert crossover == pytest.approx(found.crossover, rel=0.01)  # 2,000 points interpolated by spline
+    assert phase == pytest.approx(math.degrees(found.phase_margin), abs=1.0)
+
+
+def test_a_disk_margin_without_end_is_infinite() -> None:
+    # |S - 1/2| of L = 1 / (2 s) is 1/2 at every frequency.
+    assert math.isinf(margins(read_rational("1 / (2 s)").transfer()).disk.gain[1])
+
+
 def test_what_does_not_fit_together_is_refused() -> None:
+    with pytest.raises(ParameterError, match="str is not a linear model"):
+        own_loop("1 / s", written("1"))
     with pytest.raises(ParameterError, match="no sample time"):
         written("1 / (z - 1)")
     with pytest.raises(ParameterError, match="more zeros than poles"):

@@ -93,6 +93,8 @@ def test_frequency_response_is_that_of_python_control() -> None:
     theirs = control.TransferFunction(top, bottom, DT)(np.exp(1j * omega * DT))
     assert own.response == pytest.approx(theirs, rel=1e-9)
     assert found.linear(DT).response(omega)[:, 0, 0] == pytest.approx(theirs, rel=1e-7)
+    with pytest.raises(IdentificationError, match="a model of steps of"):
+        found.linear(DT / 2)
     assert (own.gain_sigma > 0.0).all()
 
 

@@ -7,13 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-
 from twodof.cli.options import Force, Json, StockGains, argument, option, read_json
 from twodof.cli.output import exit_unless, print_result, progress, table
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
-from twodof.design import LoopMargins, LoopTransfer, own_loop, read_rational, step_response
+from twodof.design import LoopMargins, LoopTransfer, final_value, own_loop, read_rational, step_response
 from twodof.design import margins as margins_of
 from twodof.errors import ParameterError, listed
 from twodof.flight.gains import load_gains
@@ -107,8 +105,7 @@ step = _command(
 def _figures(found: LoopMargins) -> StepFigures:
     """Return the figures of the closed loop's step response."""
     time, value = step_response(found)
-    at_rest = complex(found.loop.at(0.0 if found.loop.dt is None else 1.0)[0])
-    return step_figures(time, value, 0.0, 1.0 if not np.isfinite(at_rest) else (at_rest / (1.0 + at_rest)).real)
+    return step_figures(time, value, 0.0, final_value(found))
 
 
 def _draw(found: Mapping[str, LoopMargins], plot: Path, title: str, force: bool, picture: str = "all") -> None:

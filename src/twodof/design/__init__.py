@@ -14,6 +14,7 @@ from twodof.design.margins import GainCrossing as GainCrossing
 from twodof.design.margins import LoopMargins as LoopMargins
 from twodof.design.margins import PhaseCrossing as PhaseCrossing
 from twodof.design.margins import margins as margins
+from twodof.design.own_loop import final_value as final_value
 from twodof.design.own_loop import own_loop as own_loop
 from twodof.design.own_loop import read_rational as read_rational
 from twodof.design.own_loop import step_response as step_response

@@ -170,17 +170,26 @@ class LoopTransfer:
     def to_control(self, omega: ArrayLike | None = None) -> Any:
         """Return L as python-control's FrequencyResponseData, for `control.margin`, `bode_plot` and `feedback`.
 
-        `omega` [rad/s] defaults to 2,000 frequencies around all poles. python-control computes margins of a state space
-        from polynomials, which are wrong for loops of some 20 states or more; `state_space` gives that form. The
-        result of `feedback` has no name, which `bode_plot` needs: `control.frd(control.feedback(loop), name="closed")`.
-        Raises CompileError if python-control is not installed.
+        `omega` [rad/s] defaults to 2,000 frequencies around all poles and the crossover. python-control computes
+        margins of a state space from polynomials, which are wrong for loops of some 20 states or more; `state_space`
+        gives that form. The result of `feedback` has no name, which `bode_plot` needs:
+        `control.frd(control.feedback(loop), name="closed")`. Raises CompileError if python-control is not installed.
         """
         if omega is None:
             poles = self.poles()  # at z = 0 are delays
             sizes = np.abs(poles if self.dt is None else np.log(poles[poles != 0.0]) / self.dt)
             top = math.pi / self.dt if self.dt else 1e3 * max(sizes, default=1.0) or 1.0
-            low = min(sizes[(sizes > 1e-6 * top) & (sizes < top)], default=top)
-            omega = np.geomspace(1e-2 * low, top, 2000)
+            low = 1e-2 * min(sizes[(sizes > 1e-6 * top) & (sizes < top)], default=top)
+
+            def size(omega: float) -> float:
+                return float(abs(self.response(omega)[0]))
+
+            # Integrators and a high gain cross over far from the poles.
+            while self.dt is None and top < 1e12 and size(top) > 0.1 and size(10.0 * top) < 0.5 * size(top):
+                top *= 10.0
+            while low > 1e-12 and size(low) < 10.0 and size(0.1 * low) > 2.0 * size(low):
+                low *= 0.1
+            omega = np.geomspace(low, max(top, 10.0 * low, 10.0 / self.delay if self.delay else 0.0), 2000)
         w = np.atleast_1d(np.asarray(omega, dtype=float))
         signals = {"inputs": without_dots([self.input]), "outputs": without_dots([self.output])}
         (name,) = without_dots([self.name])

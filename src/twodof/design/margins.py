@@ -106,7 +106,8 @@ class DiskMargin:
         up, down = 1.0 - self.skew, 1.0 + self.skew
         low = (2.0 - self.alpha * up) / (2.0 + self.alpha * down)
         rest = 2.0 - self.alpha * down
-        return low, (2.0 + self.alpha * up) / rest if rest > 0.0 else math.inf
+        # An infinite factor comes out as 1e15 by rounding.
+        return low, (2.0 + self.alpha * up) / rest if rest > 1e-9 else math.inf
 
     @property
     def phase(self) -> float:

@@ -7,6 +7,7 @@ import ast
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,10 @@ Array = NDArray[np.float64]
 
 _SAME_TIME = 1e-3
 """Share by which sample times may differ: clocks of one machine do."""
-_LONGEST, _SHORTEST, _STEPS = 60.0, 6.0, 6000
-"""Of a step response: times in 1 / crossover, and the most samples."""
+_FIRST, _SHORTEST, _STEPS = 60.0, 6.0, 6000
+"""Of a step response: times in 1 / crossover, and the samples of the first."""
+_LONGEST, _SETTLED = 64, 0.002
+"""So many times the first time a step response goes on, until its last tenth is this near to its final value."""
 DELAY_STEPS = 200
 """Steps of a continuous delay that is sampled, at the most."""
 _MOST_TEXT, _MOST_POWER, _MOST_ORDER = 400, 20, 40
@@ -123,12 +126,17 @@ def _joined(left: Rational, right: Rational, operator: ast.operator) -> Rational
     )
 
 
-def own_loop(plant: LoopTransfer, controller: LoopTransfer, period: float | None = None) -> LoopTransfer:
+def own_loop(plant: Any, controller: Any, period: float | None = None) -> LoopTransfer:
     """Return L of `controller` and `plant`; where one is sampled or a `period` [s] is given, the whole loop is.
 
-    A continuous plant is held over each step, exactly; a continuous controller is sampled by Tustin's rule, as it would
-    be programmed. Raises ParameterError for two sample times.
+    Each is what `read_rational` returns or a model that `LoopTransfer.of` takes. A continuous plant is held over each
+    step, exactly; a continuous controller is sampled by Tustin's rule, as it would be programmed. Raises ParameterError
+    for another type and for two sample times.
     """
+    pair = (plant, controller)
+    plant, controller = (
+        one.transfer(period=period) if isinstance(one, Rational) else LoopTransfer.of(one) for one in pair
+    )
     times = {one for one in (period, plant.dt, controller.dt) if one is not None}
     if max(times, default=0.0) > (1.0 + _SAME_TIME) * min(times, default=0.0):
         several = ", ".join(f"{one:g}" for one in sorted(times))
@@ -166,13 +174,20 @@ def speed_of(m: LoopMargins) -> float:
     return m.crossover if m.phases else float(sizes.min()) if sizes.size else 1.0
 
 
+def final_value(m: LoopMargins) -> float:
+    """Return T at rest, where the step response of a stable loop ends."""
+    at_rest = complex(m.loop.at(0.0 if m.loop.dt is None else 1.0)[0])
+    return (at_rest / (1.0 + at_rest)).real if np.isfinite(at_rest) else 1.0
+
+
 def step_response(m: LoopMargins) -> tuple[Array, Array]:
     """Return (time [s], value) of T after a unit step: how the loop follows its set-point, until it has settled.
 
-    The samples of a continuous loop are exact; with a delay the error is held over steps of .01 / crossover.
+    The samples of a continuous loop are exact; with a delay the error is held over steps of .01 / crossover. An
+    unstable loop is shown for 60 / crossover, and one that settles very slowly for 64 times as long.
     """
     loop, speed = m.loop, speed_of(m)
-    end, k = _LONGEST / speed, 1.0 / (1.0 + loop.d)
+    end, k = _FIRST / speed, 1.0 / (1.0 + loop.d)
     dt = loop.dt or max(end / _STEPS, loop.delay / DELAY_STEPS)
     if loop.delay:
         loop = held(loop, dt)
@@ -180,11 +195,17 @@ def step_response(m: LoopMargins) -> tuple[Array, Array]:
     if closed.dt is None:
         closed = held(closed, dt)
     steps = max(2, min(_STEPS, round(end / dt)))
-    x, values = np.zeros(len(closed.a)), np.empty(steps)
+    x, values = np.zeros(len(closed.a)), np.empty(0)
     b, c = closed.b[:, 0], closed.c[0]
-    for i in range(steps):
-        values[i] = c @ x + closed.d
-        x = closed.a @ x + b
-    outside = np.flatnonzero(np.abs(values - values[-1]) > 0.01 * float(np.ptp(values)))
-    kept = min(steps, max(round(_SHORTEST / (speed * dt)), int(1.3 * outside.max(initial=1)) + 1, 2))
+    while values.size < steps * _LONGEST:
+        more = np.empty(max(steps, values.size))
+        for i in range(more.size):
+            more[i] = c @ x + closed.d
+            x = closed.a @ x + b
+        values = np.append(values, more)
+        away = np.abs(values - (final_value(m) if m.stable else values[-1])) / max(float(np.ptp(values)), 1e-300)
+        if not m.stable or away[-(values.size // 10) - 1 :].max() <= _SETTLED:
+            break
+    outside = np.flatnonzero(away > 0.01)
+    kept = min(values.size, max(round(_SHORTEST / (speed * dt)), int(1.3 * outside.max(initial=1)) + 1, 2))
     return np.asarray(dt * np.arange(kept)), values[:kept]

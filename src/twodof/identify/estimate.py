@@ -98,10 +98,14 @@ class Estimate:
         """Return the fitted model of steps `dt` [s] as matrices, at rest, such as for `to_control` and `margins`.
 
         Of unknowns of several records the first count. Raises DiagramError for a structure that cannot be linearised
-        at rest, IdentificationError for an estimate without its model.
+        at rest, IdentificationError for an estimate without its model and for a polynomial model at other steps.
         """
         model, found = self.model, {name: float(self.values[i]) for name, i in self.places("").items()}
         if isinstance(model, PolynomialModel):
+            period = self.disturbance.dt
+            if abs(dt - period) > 1e-3 * period:  # clocks differ by less
+                what = f"a model of steps of {period:g} s is asked for at steps of {dt:g} s"
+                raise model.error(what, f"ask for linear({period:g}), or fit a record.resample({dt:g})")
             a, b, c, d = model.polynomials(self.values).matrices()
             states = tuple(f"x{i + 1}" for i in range(len(a)))
             return LinearModel(a, b, c, d, dt, states, model.inputs, model.outputs, name=model.kind)

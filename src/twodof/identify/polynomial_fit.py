@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.identify.covariance import ResidualRows, check_identifiable, covariance, robust_covariance
-from twodof.identify.disturbance.disturbance_model import answers
+from twodof.identify.disturbance.disturbance_model import DisturbanceModel, answers
 from twodof.identify.estimate import Estimate
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, comparison, fit_percent
@@ -96,6 +96,7 @@ def fit_polynomial(model: PolynomialModel, records: Sequence[Record], validation
         iterations=int(found.nfev),
         converged=bool(found.status > 0),
         domain=f"prediction error, steps of {records[0].dt:.6g} s",
+        disturbance=DisturbanceModel(dt=records[0].dt),
         offsets=tuple(_offsets(model, data)),
         model=model,
     )
