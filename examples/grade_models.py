@@ -25,7 +25,8 @@ if not models:  # a model, and a file that is none
     models[0].write_text(json.dumps(identify_flight(simulate("doublet", "lab").log).model()))
     models[1].write_text("{}")
 
-print("model,rig,experiment,unknown,value,deviation,truth,point")
+print("model,rig,experiment,unknown,value,deviation,truth,point,remark")
+seen = dict[str, str]()
 for path in models:
     try:
         model = json.loads(path.read_text())
@@ -35,6 +36,8 @@ for path in models:
             sigma = found.get("sigma_quoted", found["sigma"])  # robust where the residual is not white; so are sums'
             point = abs(found["value"] - truth) <= 3.0 * sigma <= 3.0 * DEVIATION[name] * abs(truth)
             figures = ",".join(f"{one:.4g}" for one in (found["value"], sigma, truth))
-            print(f"{path.name},{model['rig']},{model['experiment']},{name},{figures},{int(point)}")
+            row = f"{model['rig']},{model['experiment']},{name},{figures},{int(point)}"
+            first = seen.setdefault(row, str(path))
+            print(f"{path},{row},{'' if first == str(path) else f'the same as in {first}'}")
     except (TwodofError, LookupError, TypeError, ValueError):  # the others are graded
-        print(f"{path.name},-,-,no model of a virtual rig's {' or '.join(GRADED)},,,,0")
+        print(f"{path},-,-,no model of a virtual rig's {' or '.join(GRADED)},,,,0,")

@@ -1,5 +1,6 @@
 """Session 1: a step of the existing controller; then excite the drone, record, and identify the pitch from the logs."""
 
+import sys
 from math import radians
 
 from twodof.excitation import Doublet, Impulse
@@ -12,8 +13,9 @@ from twodof.models import pitch_rate, step_figures
 # Where the recordings go: impulse.mcap, or impulse-2.mcap where the session is held again.
 files = {name: numbered(f"{name}.mcap") for name in ("impulse", "doublet-a", "doublet-b")}
 
+group = int(sys.argv[1]) if len(sys.argv) > 1 else 1  # its number is the seed of its drone's gusts and noise
 # A virtual drone of our own. With the real one, or with one of `twodof up`: `with Drone.connect() as drone:`
-with virtual_drone("paper", rings=True) as url, Drone.connect(url) as drone:
+with virtual_drone("paper", rings=True, seed=group) as url, Drone.connect(url) as drone:
     print(f"{drone.version()}; {drone.state}")
 
     # The controller that is there: a step of the pitch by 10 degrees.

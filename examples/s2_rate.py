@@ -1,5 +1,6 @@
 """Session 2: tune the rate loop in flight: set the gains of three designs and compare doublets of the pitch rate."""
 
+import sys
 from math import radians
 
 import numpy as np
@@ -19,7 +20,8 @@ doublets = Doublet(radians(30.0), 1.0, unit="rad/s", repeat=2, pause=0.5, settle
 
 file = numbered("rate.mcap")  # or rate-2.mcap where the session is held again
 
-with virtual_drone("lab", rings=True) as url, Drone.connect(url) as drone, drone.record(file):
+group = int(sys.argv[1]) if len(sys.argv) > 1 else 1  # its number is the seed of its drone's gusts and noise
+with virtual_drone("lab", rings=True, seed=group) as url, Drone.connect(url) as drone, drone.record(file):
     print("crossover  RMS of q0 - q  peak of q  RMS of M")
     for crossover, gains in designs.items():
         drone.parameters.update(gains)  # all of them at one tick, or none

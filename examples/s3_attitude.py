@@ -1,5 +1,6 @@
 """Session 3: the attitude loop: steps of the pitch by +-10 deg with two gains: rise time, overshoot and peak M."""
 
+import sys
 from math import radians
 
 import numpy as np
@@ -13,7 +14,8 @@ STEP = radians(10.0)
 
 file = numbered("attitude.mcap")  # or attitude-2.mcap where the session is held again
 
-with virtual_drone("lab", rings=True) as url, Drone.connect(url) as drone, drone.record(file):
+group = int(sys.argv[1]) if len(sys.argv) > 1 else 1  # its number is the seed of its drone's gusts and noise
+with virtual_drone("lab", rings=True, seed=group) as url, Drone.connect(url) as drone, drone.record(file):
     for gain in (5.0, 11.0):
         drone.parameters["ATT_KP"] = gain
         drone.run(0.5)

@@ -1,5 +1,7 @@
 """Session 4: the cart is free: velocity and position along the rail with two position gains, recorded; the failsafe."""
 
+import sys
+
 from twodof.fleet import virtual_drone
 from twodof.flightlog import numbered, read_log, write_log
 from twodof.gcs import Drone
@@ -9,7 +11,8 @@ STEP = 0.15
 
 file = numbered("position.mcap")  # or position-2.mcap where the session is held again
 
-with virtual_drone("lab") as url, Drone.connect(url) as drone, drone.record(file) as recording:
+group = int(sys.argv[1]) if len(sys.argv) > 1 else 1  # its number is the seed of its drone's gusts and noise
+with virtual_drone("lab", seed=group) as url, Drone.connect(url) as drone, drone.record(file) as recording:
     drone.parameters.update({"VEL_KP": 2.4, "VEL_KI": 2.81})  # the paper's design; crossover 4.2 rad/s
     drone.run(0.5)
     drone.arm()

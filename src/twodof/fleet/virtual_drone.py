@@ -26,10 +26,14 @@ _MOST_SAID = 50  # lines
 
 @contextmanager
 def virtual_drone(
-    rig: str = "lab", rings: bool = False, controllers: Iterable[str | Path] = (), options: Sequence[str] = ()
+    rig: str = "lab",
+    rings: bool = False,
+    controllers: Iterable[str | Path] = (),
+    options: Sequence[str] = (),
+    seed: int = 1,
 ) -> Iterator[str]:
     """Start one drone, as `virtual_drones` does, and yield its URL."""
-    with virtual_drones(1, rig, rings, controllers, options) as (url,):
+    with virtual_drones(1, rig, rings, controllers, options, seed) as (url,):
         yield url
 
 
@@ -40,11 +44,12 @@ def virtual_drones(
     rings: bool = False,
     controllers: Iterable[str | Path] = (),
     options: Sequence[str] = (),
+    seed: int = 1,
 ) -> Iterator[list[str]]:
     """Start `count` drones on virtual rigs in lockstep and yield their URLs; the drones end with the block.
 
     Each listens on the loopback interface, on a port that the system chooses, and keeps no files. Drone k has the noise
-    of seed k + 1. `rig` is "lab", "paper" or a JSON file of rig parameters; `rings` locks the cart. `controllers` are
+    of `seed` + k. `rig` is "lab", "paper" or a JSON file of rig parameters; `rings` locks the cart. `controllers` are
     JSON files of diagrams or names of starters, which fly in a sandbox. `options` are passed to `twodof fcu`. Raises
     LinkError if a drone does not start.
     """
@@ -54,7 +59,7 @@ def virtual_drones(
         drones: list[_Drone] = []
         stack.callback(_end, drones)
         for number in range(count):
-            own = ["--seed", str(number + 1), "--state", str(Path(folder) / str(number))]
+            own = ["--seed", str(seed + number), "--state", str(Path(folder) / str(number))]
             drones.append(_Drone(["--lockstep", "--rig", str(rig), *own, *given]))
         end = time.monotonic() + START_S
         yield [drone.url(f"virtual drone on the rig {rig}", end) for drone in drones]
