@@ -133,10 +133,7 @@ def own_loop(plant: Any, controller: Any, period: float | None = None) -> LoopTr
     step, exactly; a continuous controller is sampled by Tustin's rule, as it would be programmed. Raises ParameterError
     for another type and for two sample times.
     """
-    pair = (plant, controller)
-    plant, controller = (
-        one.transfer(period=period) if isinstance(one, Rational) else LoopTransfer.of(one) for one in pair
-    )
+    plant, controller = _transfer(plant, period), _transfer(controller, period)
     times = {one for one in (period, plant.dt, controller.dt) if one is not None}
     if max(times, default=0.0) > (1.0 + _SAME_TIME) * min(times, default=0.0):
         several = ", ".join(f"{one:g}" for one in sorted(times))
@@ -150,6 +147,10 @@ def own_loop(plant: Any, controller: Any, period: float | None = None) -> LoopTr
             raise ParameterError("a controller with a continuous delay", "loop", "write it in z: / z^3")
         controller = _tustin(controller, dt)
     return LoopTransfer(controller.a, controller.b, controller.c, controller.d, dt).times(plant)
+
+
+def _transfer(model: Any, period: float | None) -> LoopTransfer:
+    return model.transfer(period=period) if isinstance(model, Rational) else LoopTransfer.of(model)
 
 
 def held(loop: LoopTransfer, dt: float) -> LoopTransfer:
