@@ -6,7 +6,7 @@ They are written as 2 exp(-0.3 s) / (1.5 s + 1), or 0.1 z / (z - 0.9) of a sampl
 import ast
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -133,20 +133,20 @@ def own_loop(plant: Any, controller: Any, period: float | None = None) -> LoopTr
     step, exactly; a continuous controller is sampled by Tustin's rule, as it would be programmed. Raises ParameterError
     for another type and for two sample times.
     """
-    plant, controller = _transfer(plant, period), _transfer(controller, period)
-    times = {one for one in (period, plant.dt, controller.dt) if one is not None}
+    of_plant, law = _transfer(plant, period), _transfer(controller, period)
+    times = {one for one in (period, of_plant.dt, law.dt) if one is not None}
     if max(times, default=0.0) > (1.0 + _SAME_TIME) * min(times, default=0.0):
         several = ", ".join(f"{one:g}" for one in sorted(times))
         raise ParameterError(f"sample times of {several} s", "loop", "give plant and controller the same one")
     if not times:
-        return controller.times(plant)
+        return law.times(of_plant)
     dt = max(times)
-    plant = held(plant, dt) if plant.dt is None else LoopTransfer(plant.a, plant.b, plant.c, plant.d, dt)
-    if controller.dt is None:
-        if controller.delay:
+    of_plant = held(of_plant, dt) if of_plant.dt is None else replace(of_plant, dt=dt)
+    if law.dt is None:
+        if law.delay:
             raise ParameterError("a controller with a continuous delay", "loop", "write it in z: / z^3")
-        controller = _tustin(controller, dt)
-    return LoopTransfer(controller.a, controller.b, controller.c, controller.d, dt).times(plant)
+        law = _tustin(law, dt)
+    return replace(law, dt=dt).times(of_plant)
 
 
 def _transfer(model: Any, period: float | None) -> LoopTransfer:
