@@ -30,9 +30,9 @@ from twodof.slx.matlab.values import (
     MOST_ELEMENTS,
     Array,
     Cells,
+    MatlabTable,
     Members,
     NotComputed,
-    Table,
     Value,
     as_array,
     class_of,
@@ -468,7 +468,7 @@ class Program:
                 return _of_kind(given[0], "int32", self.wraps)
             return value(self, given) if callable(value) else indexed(value, given)
         if step.kind == "{":
-            if isinstance(value, Table):
+            if isinstance(value, MatlabTable):
                 return indexed(np.asarray(value), self.arguments(step.parts, value))
             if not isinstance(value, Cells) or len(step.parts) > 2:
                 raise NotComputed("this is no cell array, or one of more than two dimensions")
@@ -602,7 +602,7 @@ class Program:
             if len(arguments) > 1:
                 raise NotComputed(f"{name} with more than the name of a file is not computed")
             table = self.code.table(arguments[0])
-            return table.view(Table) if name == "readtable" else table
+            return table.view(MatlabTable) if name == "readtable" else table
         if name == "exist" and arguments:
             return np.array([[float(arguments[0] in self.evaluation.names)]])
         name, arguments = (arguments[0], arguments[1:]) if name == "feval" and arguments else (name, arguments)

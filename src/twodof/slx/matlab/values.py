@@ -30,7 +30,7 @@ KINDS = {
 }  # fmt: skip
 
 
-class Table(np.ndarray):
+class MatlabTable(np.ndarray):
     """Numbers of a table, of which braces take elements too."""
 
 
