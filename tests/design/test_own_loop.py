@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twodof.design import LoopTransfer, margins, own_loop, read_rational, step_response
+from twodof.design import LoopTransfer, final_value, margins, own_loop, read_rational, step_response
+from twodof.design.loop_transfer import minimal
 from twodof.errors import ParameterError
 
 pytestmark = pytest.mark.slow
@@ -111,19 +112,40 @@ def test_step_of_a_closed_loop_is_that_in_closed_form(period: float | None) -> N
         ("1 / (s + 1)", "10 + 0.1 / s", None),  # a slow integral's tail
         ("1 / (s^2 + 0.06 s + 1)", "1", None),
         ("1 / (s + 1)", "10 + 0.1 / s", 0.05),
+        ("1 / (s + 1)", "2 + 0.02 / s", 0.001),
+        ("s / (s + 1)", "1 / s", None),  # the integrator cancels: it ends at 1/2
+        ("(s + 0.001) / (s + 1)^2", "1", None),  # rises far above where it ends
     ],
 )
 def test_a_step_response_goes_on_until_it_has_settled(plant: str, law: str, period: float | None) -> None:
     loop = own_loop(read_rational(plant), read_rational(law), period)
     time, value = step_response(margins(loop))
-    closed = control.feedback(loop.state_space())
-    longer = np.arange(20 * time.size) * (time[1] - time[0])
-    theirs = control.step_response(closed, longer[: max(time.size, 200_000)]).outputs
-    assert value == pytest.approx(theirs[: time.size], abs=1e-8)
+    # Of python-control the poles and the way from state to state; the response is summed by its modes.
+    poles, modes = np.linalg.eig((closed := control.feedback(minimal(loop).state_space())).A)
     final = float(closed.dcgain())
-    settled = np.flatnonzero(np.abs(theirs - final) > 0.02 * abs(final))[-1]
-    assert settled < time.size - 1
-    assert abs(value[-1] - final) < 0.01 * abs(final)
+    parts = (closed.C @ modes)[0] * np.linalg.solve(modes, closed.B)[:, 0]
+    if period is None:
+        grown = np.exp(np.outer(time, poles)) / poles
+    else:
+        grown = poles ** np.round(time / period)[:, None] / (poles - 1.0)
+    assert value == pytest.approx((final + grown @ parts).real, abs=1e-8)
+    ahead = time[-1] * np.linspace(1.0, 5.0, 10_000)
+    later = np.exp(np.outer(ahead, poles if period is None else np.log(poles) / period))
+    later = (later / (poles if period is None else poles - 1.0)) @ parts
+    assert np.max(np.abs(later)) < 0.02 * abs(final), "it settles into 2 % within what is shown"
+    assert final_value(margins(loop)) == pytest.approx(final)
+
+
+def test_a_step_response_with_dead_time_settles_when_it_does() -> None:
+    # y' = 2 (1 - y(t - 1)) - y, integrated here by steps of half a millisecond.
+    late, dt = 2000, 0.0005
+    y = np.zeros(120_000)
+    for k in range(1, y.size):
+        error = 1.0 - y[k - late] if k > late else 0.0
+        y[k] = y[k - 1] + dt * (2.0 * error - y[k - 1])
+    time, value = step_response(margins(read_rational("2 exp(-s) / (s + 1)").transfer()))
+    assert value == pytest.approx(np.interp(time, dt * np.arange(y.size), y), abs=0.01)
+    assert time[-1] > dt * np.flatnonzero(np.abs(y - 2.0 / 3.0) > 0.02 * 2.0 / 3.0)[-1]
 
 
 @pytest.mark.parametrize("text", ["30 / s", "30 exp(-0.02 s) / s", "1e-7 / s", "1e8 / (s (s + 1))"])

@@ -16,7 +16,7 @@ from twodof.design import margins as margins_of
 from twodof.errors import ParameterError, listed
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
-from twodof.models.lti import StepFigures, step_figures
+from twodof.models.lti import step_figures
 from twodof.report.plots.flight_view import PICTURES, check_place
 from twodof.sim.linear import LOOPS, cascade_margins
 from twodof.sim.resimulation import load_rig_or_model
@@ -68,11 +68,15 @@ def _command(picture: str, about: str, drawn: str = "it there") -> Callable[...,
         lines = [title + ("" if found.loop.dt is None else f", steps of {found.loop.dt:g} s")]
         lines += margin_lines({"loop": found})
         if picture == "step" and found.stable:
-            figures = _figures(found)
+            time, value = step_response(found)
+            figures = step_figures(time, value, 0.0, final_value(found))
             document["step"] = asdict(figures)
+            settling = f"settling time {figures.settling_time:.3g} s (2 %)"
+            if math.isnan(figures.settling_time):
+                settling = f"not within 2 % after {time[-1]:.3g} s"
             lines.append(
-                f"rise time {figures.rise_time:.3g} s, overshoot {100.0 * figures.overshoot:.1f} %, settling time "
-                f"{figures.settling_time:.3g} s (2 %), final value {figures.final:.4g}"
+                f"rise time {figures.rise_time:.3g} s, overshoot {100.0 * figures.overshoot:.1f} %, {settling}, "
+                f"final value {figures.final:.4g}"
             )
         if plot is not None:
             _draw({"loop": found}, plot, title, force, picture)
@@ -100,12 +104,6 @@ rlocus = _command("rlocus", "Draw the root locus of a loop: the closed loop's po
 step = _command(
     "step", "Compute rise time, overshoot and settling time of the closed loop, and draw its step response."
 )
-
-
-def _figures(found: LoopMargins) -> StepFigures:
-    """Return the figures of the closed loop's step response."""
-    time, value = step_response(found)
-    return step_figures(time, value, 0.0, final_value(found))
 
 
 def _draw(found: Mapping[str, LoopMargins], plot: Path, title: str, force: bool, picture: str = "all") -> None:

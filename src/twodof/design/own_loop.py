@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.loop_transfer import LoopTransfer
+from twodof.design.loop_transfer import LoopTransfer, minimal
 from twodof.design.margins import LoopMargins
 from twodof.errors import ParameterError, shown
 from twodof.models.lti import DelayedStateSpace
@@ -23,8 +23,8 @@ _SAME_TIME = 1e-3
 """Share by which sample times may differ: clocks of one machine do."""
 _FIRST, _SHORTEST, _STEPS = 60.0, 6.0, 6000
 """Of a step response: times in 1 / crossover, and the samples of the first."""
-_LONGEST, _SETTLED = 64, 0.002
-"""So many times the first time a step response goes on, until its last tenth is this near to its final value."""
+_LONGEST, _SETTLED = 100.0, 0.002
+"""So many times the first time a step response goes on, until its last part is this near to its final value."""
 DELAY_STEPS = 200
 """Steps of a continuous delay that is sampled, at the most."""
 _MOST_TEXT, _MOST_POWER, _MOST_ORDER = 400, 20, 40
@@ -176,37 +176,47 @@ def speed_of(m: LoopMargins) -> float:
 
 
 def final_value(m: LoopMargins) -> float:
-    """Return T at rest, where the step response of a stable loop ends."""
-    at_rest = complex(m.loop.at(0.0 if m.loop.dt is None else 1.0)[0])
+    """Return T at rest, where the step response of a stable loop ends; NaN for an unstable one."""
+    if not m.stable:
+        return math.nan
+    # A pole and a zero at rest may cancel.
+    at_rest = complex(minimal(m.loop).at(0.0 if m.loop.dt is None else 1.0)[0])
     return (at_rest / (1.0 + at_rest)).real if np.isfinite(at_rest) else 1.0
 
 
 def step_response(m: LoopMargins) -> tuple[Array, Array]:
     """Return (time [s], value) of T after a unit step: how the loop follows its set-point, until it has settled.
 
-    The samples of a continuous loop are exact; with a delay the error is held over steps of .01 / crossover. An
-    unstable loop is shown for 60 / crossover, and one that settles very slowly for 64 times as long.
+    The samples of a continuous loop are exact; with a delay the error is held over steps of .01 / crossover or a
+    200th of the delay. They lie
+    further apart the longer it takes. An unstable loop is shown for 60 / crossover; one that has not settled after 100
+    times as long is cut there.
     """
-    loop, speed = m.loop, speed_of(m)
+    loop, speed, final = m.loop, speed_of(m), final_value(m)
     end, k = _FIRST / speed, 1.0 / (1.0 + loop.d)
     dt = loop.dt or max(end / _STEPS, loop.delay / DELAY_STEPS)
-    if loop.delay:
-        loop = held(loop, dt)
+    if loop.delay:  # what is held is late by half a step on average
+        loop = held(replace(loop, delay=loop.delay - 0.5 * dt), dt)
     closed = LoopTransfer(loop.a - k * loop.b @ loop.c, k * loop.b, k * loop.c, k * loop.d, loop.dt)
     if closed.dt is None:
         closed = held(closed, dt)
-    steps = max(2, min(_STEPS, round(end / dt)))
-    x, values = np.zeros(len(closed.a)), np.empty(0)
-    b, c = closed.b[:, 0], closed.c[0]
-    while values.size < steps * _LONGEST:
-        more = np.empty(max(steps, values.size))
-        for i in range(more.size):
-            more[i] = c @ x + closed.d
-            x = closed.a @ x + b
-        values = np.append(values, more)
-        away = np.abs(values - (final_value(m) if m.stable else values[-1])) / max(float(np.ptp(values)), 1e-300)
-        if not m.stable or away[-(values.size // 10) - 1 :].max() <= _SETTLED:
+    n, count = len(closed.a), max(2, min(_STEPS, round(end / dt)))
+    advance = np.block([[closed.a, closed.b], [np.zeros((1, n)), np.ones((1, 1))]])  # of the states and the step
+    row, x = np.append(closed.c[0], closed.d), np.append(np.zeros(n), 1.0)
+    time, value, stride = np.empty(0), np.empty(0), 1
+    while True:
+        more = np.empty(count)
+        for i in range(count):
+            more[i], x = row @ x, advance @ x
+        begin = time[-1] + dt * stride / 2 if time.size and stride > 1 else 0.0
+        time, value = np.append(time, begin + dt * stride * np.arange(count)), np.append(value, more)
+        span = float(np.ptp(value))
+        away = np.abs(value - (final if m.stable else value[-1])) / max(min(span, abs(final) or span), 1e-300)
+        settled = not m.stable or away[-(count // 5) - 1 :].max() <= _SETTLED
+        if (settled and time[-1] >= end - dt * stride) or time[-1] >= _LONGEST * end:
             break
+        advance, stride = advance @ advance, 2 * stride
     outside = np.flatnonzero(away > 0.01)
-    kept = min(values.size, max(round(_SHORTEST / (speed * dt)), int(1.3 * outside.max(initial=1)) + 1, 2))
-    return np.asarray(dt * np.arange(kept)), values[:kept]
+    shown = max(_SHORTEST / speed, 1.3 * time[outside[-1]] if outside.size else 0.0)
+    kept = max(2, int(np.searchsorted(time, shown, side="right")))
+    return time[:kept], value[:kept]
