@@ -28,6 +28,7 @@ if not models:  # a model, and a file that is none
 print("model,rig,experiment,unknown,value,deviation,truth,point,remark")
 seen = dict[str, str]()
 for path in models:
+    shown = str(path).replace(",", ";")
     try:
         model = json.loads(path.read_text())
         known = model_parameters(Laboratory(model["rig"]).parameters.snapshot())
@@ -37,7 +38,7 @@ for path in models:
             point = abs(found["value"] - truth) <= 3.0 * sigma <= 3.0 * DEVIATION[name] * abs(truth)
             figures = ",".join(f"{one:.4g}" for one in (found["value"], sigma, truth))
             row = f"{model['rig']},{model['experiment']},{name},{figures},{int(point)}"
-            first = seen.setdefault(row, str(path))
-            print(f"{path},{row},{'' if first == str(path) else f'the same as in {first}'}")
+            first = seen.setdefault(row, shown)
+            print(f"{shown},{row},{'' if first == shown else f'the same as in {first}'}")
     except (TwodofError, LookupError, TypeError, ValueError):  # the others are graded
-        print(f"{path},-,-,no model of a virtual rig's {' or '.join(GRADED)},,,,0,")
+        print(f"{shown},-,-,no model of a virtual rig's {' or '.join(GRADED)},,,,0,")

@@ -154,7 +154,8 @@ def _channels() -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|"
     for row in TOPICS:
         rate = f"{row.rate_hz:g}" if row.rate_hz else "on events"
-        px4 = " or ".join(f"`{topic}`" for topic, _ in PX4_SOURCES.get(row.mat, ()))
+        sources = (*PX4_SOURCES.get(row.mat, ()), *[("vehicle_control_mode", ())] * (row.mat == "mode"))
+        px4 = " or ".join(f"`{topic}`" for topic, _ in sources)
         fields = ", ".join(row.fields)
         yield f"| `{row.name}` | `{row.mat}` | {fields} | {row.unit} | {rate} | `{stream_of(row).topic}` | {px4} |"
     fields = ", ".join(SAFETY.fields)

@@ -10,7 +10,16 @@ from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
 from twodof.excitation import Doublet, Excitation, Impulse, Steps, Sweep, ThreeTwoOneOne
 from twodof.flightlog.contents import describe, excitations, find_excitation, log_summary
-from twodof.flightlog.events import mode_at, modes, openloop_edges, setpoint_steps, steps_by, thrust_edges, window
+from twodof.flightlog.events import (
+    flown_steps,
+    mode_at,
+    modes,
+    openloop_edges,
+    setpoint_steps,
+    steps_by,
+    thrust_edges,
+    window,
+)
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.steps import SAFETY
@@ -34,6 +43,14 @@ def test_synthetic_events() -> None:
     assert window(log, steps) == pytest.approx((101.7, log.armed()[0][1]), abs=SAMPLE)
     with pytest.raises(LogError, match="no event"):
         window(log, [])
+
+
+def test_a_mode_without_its_set_point_has_no_steps_and_takes_none_from_others() -> None:
+    # As PX4 logs it: the mode says position, and x0 is not there.
+    whole = attitude_steps()
+    log = FlightLog({name: one for name, one in whole.channels.items() if name != "x0"})
+    assert flown_steps(log, "position") == []
+    assert flown_steps(log, "attitude")
 
 
 def test_channel_mode_decides() -> None:

@@ -600,6 +600,31 @@ def test_a_for_each_acts_once_for_each_part(tmp_path: Path, values: dict[str, st
     assert np.allclose(got, wanted, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("size", "values", "why"),
+    [
+        ("5", {"PartitionWidth": "2"}, "do not divide into the same number of parts"),
+        ("4", {"PartitionWidth": "0"}, "parts 0 wide"),
+        ("4", {"PartitionWidth": "2", "PartitionOffset": "1"}, "parts 2 wide that begin every 1"),
+    ],
+)
+def test_parts_of_a_for_each_that_do_not_lie_side_by_side_are_refused(
+    tmp_path: Path, size: str, values: dict[str, str], why: str
+) -> None:
+    inside: Blocks = [
+        ("ForEach", "each", {}),
+        ("Inport", "part", {"Partition": "on", "PartitionDimension": "1", **values}),
+        ("Outport", "out", {"ConcatenationDimension": "1"}),
+    ]
+    blocks: Blocks = [
+        ("Inport", "u", {**REAL, "PortDimensions": size}),
+        ("SubSystem", "parts", {"Ports": "[1, 1]"}, (inside, [("part", "out")])),
+        ("Outport", "y", {}),
+    ]
+    (line,) = imported(tmp_path, blocks, [("u", "parts"), ("parts", "y")]).refused
+    assert why in line.why
+
+
 @pytest.mark.parametrize("reset", [False, True])
 def test_a_for_iterator_acts_as_often_as_its_input_says(tmp_path: Path, reset: bool) -> None:
     """Simulink's documentation: states go from turn to turn, and are reset at each step or held; outputs stay."""

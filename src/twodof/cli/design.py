@@ -110,7 +110,7 @@ def controller(
         written = {"diagram": str(out), **_keep(found, promise_file, plot, force)}
     lines = [] if made.cascade is None else _cascade_lines(made.cascade)
     if made.cascade is not None and spec is None and phase_margin is None:
-        why = f"  {crossover:g} rad/s is the crossover of mu / s alone; with its integral and lead the loop's is higher"
+        why = f"  {crossover:g} rad/s is that of mu / s alone; the controller's integral and lead raise the crossover"
         lines.append(f"{why}. With --phase-margin DEG the loop crosses over there exactly")
     lines += [sure.text, made.saturation.text, found.table(), *(one.text for one in made.requirements)]
     print_result(json, {**made.to_json(), "written": written}, lines)

@@ -100,7 +100,9 @@ def flown_steps(log: FlightLog, mode: str, held_s: float = 0.1) -> list[tuple[Ev
     set-point after it does not count either. The response ends at the next step, with the mode, or where the failsafe
     acts. Raises LogError.
     """
-    acts, found = failsafe_acts(log), []
+    acts, found = failsafe_acts(log), list[tuple[Event, float]]()
+    if SETPOINTS[mode] not in log:  # PX4 logs the set-points of some loops, and its mode
+        return found
     steps = setpoint_steps(log, SETPOINTS[mode], held_s)
     for stretch in modes(log):
         if stretch.mode != mode:

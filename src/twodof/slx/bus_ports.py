@@ -85,8 +85,8 @@ def with_each(
 ) -> tuple[System, list[str]]:
     """Return a system that holds what is inside a For Each once for each part of its inputs, and the copies' names.
 
-    It is that of a block in the system `around`. Raises NotTranslated for parts other than elements side by side, and
-    where no number of them is written, and no bus or port around declares it.
+    `block` is the For Each, in the system `around`. Raises NotTranslated for parts other than elements side by side,
+    and where their number is neither written nor declared by the bus or port that drives them.
     """
     said = next(one.values.get("SpecifiedNumIters", "-1") for one in system.blocks.values() if one.type == "ForEach")
     count = int(scalar(evaluate(said, names, "SpecifiedNumIters")))
@@ -94,7 +94,14 @@ def with_each(
         parted = [one for one in system.blocks.values() if one.values.get("Partition", "off") == "on"]
         widths = [int(scalar(evaluate(one.values.get("PartitionWidth", "1"), names, one.name))) for one in parted]
         sizes = [_declared_width(around, Pin(block.sid, "in", port_number(one)), names) for one in parted]
-        count = next((size // width for size, width in zip(sizes, widths, strict=True)), 0)
+        for one, width in zip(parted, widths, strict=True):
+            offset = int(scalar(evaluate(one.values.get("PartitionOffset", str(width)), names, one.name)))
+            if width < 1 or offset != width:
+                raise NotTranslated(f"{one.name}: parts {width} wide that begin every {offset} are not translated")
+        counts = {size / width for size, width in zip(sizes, widths, strict=True) if size}
+        if len(counts) > 1 or not all(number.is_integer() for number in counts):
+            raise NotTranslated("the inputs of the For Each do not divide into the same number of parts")
+        count = int(next(iter(counts), 0))
     if not 0 < count <= MOST_PARTS:
         raise NotTranslated(f"a For Each with SpecifiedNumIters = {said} is not translated")
     inner = System({sid: block for sid, block in system.blocks.items() if block.type != "ForEach"}, system.lines)

@@ -23,7 +23,7 @@ export interface DroneState {
   lease_holder: readonly [number, number] | null;
   ours_leases: boolean;
   experiment?: boolean;
-  setpoint?: { loop: Loop; value: number } | null;
+  setpoint?: { loop: Loop; value: number; thrust?: number | null } | null;
   /** Ticks of the excitation of this server that plays, or null. */
   excitation?: { start_tick: number; end_tick: number } | null;
   controller: string;
