@@ -603,6 +603,11 @@ def test_a_for_each_acts_once_for_each_part(tmp_path: Path, values: dict[str, st
 @pytest.mark.parametrize(
     ("size", "values", "why"),
     [
+        (
+            "4",
+            {"SpecifiedNumIters": "2", "PartitionWidth": "2", "PartitionOffset": "1"},
+            "parts 2 wide that begin every 1",
+        ),
         ("5", {"PartitionWidth": "2"}, "do not divide into the same number of parts"),
         ("4", {"PartitionWidth": "0"}, "parts 0 wide"),
         ("4", {"PartitionWidth": "2", "PartitionOffset": "1"}, "parts 2 wide that begin every 1"),
@@ -612,7 +617,7 @@ def test_parts_of_a_for_each_that_do_not_lie_side_by_side_are_refused(
     tmp_path: Path, size: str, values: dict[str, str], why: str
 ) -> None:
     inside: Blocks = [
-        ("ForEach", "each", {}),
+        ("ForEach", "each", {name: one for name, one in values.items() if name == "SpecifiedNumIters"}),
         ("Inport", "part", {"Partition": "on", "PartitionDimension": "1", **values}),
         ("Outport", "out", {"ConcatenationDimension": "1"}),
     ]

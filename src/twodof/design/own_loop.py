@@ -188,9 +188,8 @@ def step_response(m: LoopMargins) -> tuple[Array, Array]:
     """Return (time [s], value) of T after a unit step: how the loop follows its set-point, until it has settled.
 
     The samples of a continuous loop are exact; with a delay the error is held over steps of .01 / crossover or a
-    200th of the delay. They lie
-    further apart the longer it takes. An unstable loop is shown for 60 / crossover; one that has not settled after 100
-    times as long is cut there.
+    200th of the delay. They lie further apart the longer it takes. An unstable loop is shown for 60 / crossover; one
+    that has not settled after 100 times as long is cut there.
     """
     loop, speed, final = m.loop, speed_of(m), final_value(m)
     end, k = _FIRST / speed, 1.0 / (1.0 + loop.d)
@@ -203,19 +202,18 @@ def step_response(m: LoopMargins) -> tuple[Array, Array]:
     n, count = len(closed.a), max(2, min(_STEPS, round(end / dt)))
     advance = np.block([[closed.a, closed.b], [np.zeros((1, n)), np.ones((1, 1))]])  # of the states and the step
     row, x = np.append(closed.c[0], closed.d), np.append(np.zeros(n), 1.0)
-    time, value, stride = np.empty(0), np.empty(0), 1
+    time, value, begin, stride = np.empty(0), np.empty(0), 0, 1  # begin and stride in samples
     while True:
         more = np.empty(count)
         for i in range(count):
             more[i], x = row @ x, advance @ x
-        begin = time[-1] + dt * stride / 2 if time.size and stride > 1 else 0.0
-        time, value = np.append(time, begin + dt * stride * np.arange(count)), np.append(value, more)
+        time, value = np.append(time, dt * (begin + stride * np.arange(count))), np.append(value, more)
         span = float(np.ptp(value))
         away = np.abs(value - (final if m.stable else value[-1])) / max(min(span, abs(final) or span), 1e-300)
         settled = not m.stable or away[-(count // 5) - 1 :].max() <= _SETTLED
         if (settled and time[-1] >= end - dt * stride) or time[-1] >= _LONGEST * end:
             break
-        advance, stride = advance @ advance, 2 * stride
+        advance, begin, stride = advance @ advance, begin + stride * count, 2 * stride
     outside = np.flatnonzero(away > 0.01)
     shown = max(_SHORTEST / speed, 1.3 * time[outside[-1]] if outside.size else 0.0)
     kept = max(2, int(np.searchsorted(time, shown, side="right")))

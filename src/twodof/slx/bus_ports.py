@@ -90,14 +90,14 @@ def with_each(
     """
     said = next(one.values.get("SpecifiedNumIters", "-1") for one in system.blocks.values() if one.type == "ForEach")
     count = int(scalar(evaluate(said, names, "SpecifiedNumIters")))
+    parted = [one for one in system.blocks.values() if one.values.get("Partition", "off") == "on"]
+    widths = [int(scalar(evaluate(one.values.get("PartitionWidth", "1"), names, one.name))) for one in parted]
+    for one, width in zip(parted, widths, strict=True):
+        offset = int(scalar(evaluate(one.values.get("PartitionOffset", str(width)), names, one.name)))
+        if width < 1 or offset != width:
+            raise NotTranslated(f"{one.name}: parts {width} wide that begin every {offset} are not translated")
     if count < 0:
-        parted = [one for one in system.blocks.values() if one.values.get("Partition", "off") == "on"]
-        widths = [int(scalar(evaluate(one.values.get("PartitionWidth", "1"), names, one.name))) for one in parted]
         sizes = [_declared_width(around, Pin(block.sid, "in", port_number(one)), names) for one in parted]
-        for one, width in zip(parted, widths, strict=True):
-            offset = int(scalar(evaluate(one.values.get("PartitionOffset", str(width)), names, one.name)))
-            if width < 1 or offset != width:
-                raise NotTranslated(f"{one.name}: parts {width} wide that begin every {offset} are not translated")
         counts = {size / width for size, width in zip(sizes, widths, strict=True) if size}
         if len(counts) > 1 or not all(number.is_integer() for number in counts):
             raise NotTranslated("the inputs of the For Each do not divide into the same number of parts")
