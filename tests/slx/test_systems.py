@@ -605,12 +605,12 @@ def test_a_for_each_acts_once_for_each_part(tmp_path: Path, values: dict[str, st
     [
         (
             "4",
-            {"SpecifiedNumIters": "2", "PartitionWidth": "2", "PartitionOffset": "1"},
-            "parts 2 wide that begin every 1",
+            {"SpecifiedNumIters": "2", "PartitionWidth": "2", "PartitionOffset": "-1"},
+            "parts 2 wide with a gap of -1",
         ),
         ("5", {"PartitionWidth": "2"}, "do not divide into the same number of parts"),
         ("4", {"PartitionWidth": "0"}, "parts 0 wide"),
-        ("4", {"PartitionWidth": "2", "PartitionOffset": "1"}, "parts 2 wide that begin every 1"),
+        ("4", {"PartitionWidth": "2", "PartitionOffset": "1"}, "parts 2 wide with a gap of 1"),
     ],
 )
 def test_parts_of_a_for_each_that_do_not_lie_side_by_side_are_refused(

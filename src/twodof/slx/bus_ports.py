@@ -93,9 +93,9 @@ def with_each(
     parted = [one for one in system.blocks.values() if one.values.get("Partition", "off") == "on"]
     widths = [int(scalar(evaluate(one.values.get("PartitionWidth", "1"), names, one.name))) for one in parted]
     for one, width in zip(parted, widths, strict=True):
-        offset = int(scalar(evaluate(one.values.get("PartitionOffset", str(width)), names, one.name)))
-        if width < 1 or offset != width:
-            raise NotTranslated(f"{one.name}: parts {width} wide that begin every {offset} are not translated")
+        gap = int(scalar(evaluate(one.values.get("PartitionOffset", "0"), names, one.name)))
+        if width < 1 or gap:
+            raise NotTranslated(f"{one.name}: parts {width} wide with a gap of {gap} are not translated")
     if count < 0:
         sizes = [_declared_width(around, Pin(block.sid, "in", port_number(one)), names) for one in parted]
         counts = {size / width for size, width in zip(sizes, widths, strict=True) if size}
