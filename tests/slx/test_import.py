@@ -283,7 +283,7 @@ def test_a_port_is_as_wide_as_what_splits_it(tmp_path: Path) -> None:
 def test_names_come_from_scripts_and_mat_files_and_masks_shadow_them(tmp_path: Path) -> None:
     (tmp_path / "gains.m").write_text("kp = 4; integral\nM_MAX = load('x');\n", encoding="utf-8")
     (tmp_path / "integral.m").write_text("g.ki = .5;\n", encoding="utf-8")  # found beside the script that calls it
-    savemat(tmp_path / "more.mat", {"M_MAX": 1.5, "cells": np.array([1, "a"], dtype=object)})
+    savemat(tmp_path / "more.mat", {"M_MAX": 1.5, "cells": np.array([1, 1j], dtype=object)})
     names: dict[str, object] = {}
     assert [one.line for one in read_workspace(tmp_path / "gains.m", names)] == [2]
     assert [one.why for one in read_workspace(tmp_path / "more.mat", names)] == [

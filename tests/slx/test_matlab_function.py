@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from tests.slx.test_matlab import octave
@@ -639,3 +640,67 @@ def test_a_structure_is_a_bus_and_a_state_by_its_fields() -> None:
 def test_a_function_without_end_is_refused(body: str, why: str) -> None:
     with pytest.raises(DiagramError, match=why):
         MatlabFunction(f"function y = f(u)\n{body}\n", [Signal()])
+
+
+NESTED = """function y = f(u)
+b = 3;
+y = half(u) + b;
+    function b = half(a)
+        {} = 2; b = a / {};
+    end
+    {}
+end"""
+
+
+def test_a_function_in_another_one_has_variables_of_its_own() -> None:
+    """MATLAB's documentation: only names that both use are shared, and arguments and results never are."""
+    u = np.arange(STEPS) * 1.0
+    assert np.array_equal(flown(NESTED.format("k", "k", ""), [Signal()], [u])[1]["y"], u / 2.0 + 3.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [(("y", "y", ""), "half in f shares y with it"), (("k", "k", "y = 1;"), "before statements of it")],
+)
+def test_a_function_that_shares_variables_with_the_one_around_it_is_refused(words: tuple[str, ...], why: str) -> None:
+    with pytest.raises(DiagramError, match=why):
+        MatlabFunction(NESTED.format(*words), [Signal()])
+
+
+def test_further_indices_of_a_matrix_are_1() -> None:
+    code = "function y = f(u)\nm = zeros(2, 2, 1); m(:, :, 1) = [u(1) u(2); 3 4]; y = m(:, 2, :)' + size(u, 3);"
+    u = np.arange(2.0 * STEPS).reshape(STEPS, 2)
+    assert np.array_equal(flown(code, [Signal(width=2)], [u])[1]["y"], np.stack([u[:, 1] + 1.0, [5.0] * STEPS], axis=1))
+    with pytest.raises(DiagramError, match="three dimensions"):
+        MatlabFunction("function y = f(u)\nm = eye(2); y = m(1, 1, 2) * u;", [Signal()])
+
+
+def test_cells_of_a_function_are_assigned_by_their_place() -> None:
+    code = "function y = f(u)\nc = cell(2, 1); for k = 1:2, c{k} = k * u; end\ny = [c{2} c{1}]';"
+    u = np.arange(STEPS) * 1.0
+    assert np.array_equal(flown(code, [Signal()], [u])[1]["y"], np.stack([2.0 * u, u], axis=1))
+
+
+def test_a_function_loads_numbers_and_cell_arrays_of_a_file(tmp_path: Path) -> None:
+    savemat(tmp_path / "gains.mat", {"K": 4.0, "parts": np.array([[[1.0, 2.0]], [[5.0]]], dtype=object)})
+    code = "function y = f(u)\npersistent g\nif isempty(g), g = load('gains.mat'); end\n"
+    block = MatlabFunction(f"{code}y = u * g.K + g.parts{{2}} + g.parts{{1}}(2);", [Signal()], folders=[tmp_path])
+    d = Diagram("loaded")
+    d.input("u")
+    d.add("f", block, u="u")
+    d.output("y", "f.y")
+    u = np.arange(STEPS) * 1.0
+    assert np.array_equal(build(d, dt=0.01).machine().run(STEPS, {"u": u})["y"], 4.0 * u + 7.0)
+    with pytest.raises(DiagramError, match=r"no_file\.mat is not found"):
+        MatlabFunction("function y = f(u)\ng = load('no_file'); y = u * g.K;", [Signal()], folders=[tmp_path])
+
+
+def test_a_rotation_matrix_gives_the_quaternion_of_scipy() -> None:
+    """With a positive real part; one of them is the example in MathWorks' documentation."""
+    turns = [*Rotation.random(STEPS - 4, random_state=5), *Rotation.from_euler("xyz", np.eye(3) * 3.1)]
+    turns.append(Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
+    matrices = np.array([one.as_matrix() for one in turns])
+    found = flown("function q = f(R)\nq = rotm2quat(R);", [Signal(shape=(3, 3), width=9)], [matrices])[1]["q"]
+    wanted = np.array([one.as_quat(canonical=True)[[3, 0, 1, 2]] for one in turns])
+    assert np.allclose(found, wanted, rtol=0.0, atol=1e-12)
+    assert np.allclose(found[-1], [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0], rtol=0.0, atol=1e-15)

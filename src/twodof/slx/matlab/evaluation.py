@@ -11,6 +11,7 @@ import io
 import math
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from twodof.slx.matlab.values import (
     MOST_ELEMENTS,
     OPERATORS,
     Array,
+    Cells,
     NotComputed,
     String,
     Value,
@@ -64,6 +66,58 @@ def table_values(data: bytes, where: str) -> fence.Answer:
         raise LogError("its rows have different numbers of columns", where, "make them alike") from None
     rows = rows[1:] if rows.size and np.isnan(rows[0]).all() else rows
     return list(rows.shape), [rows.astype(float).flatten()]
+
+
+def data_of(path: Path) -> Value:
+    """Return the values of a .mat file as a structure, or the numbers of a .csv file."""
+    if path.suffix == ".mat":
+        return recorded(path)[0]
+    shape, (found,) = fence.read(table_values, path)
+    return found.reshape(shape)
+
+
+def recorded(path: Path) -> tuple[dict[str, Value], list[tuple[str, str]]]:
+    """Return the values of a .mat file, and the names that are left out with the reasons."""
+    plain, arrays = fence.read(mat_values, path)
+    left = list(arrays)
+
+    def value(said: Any) -> Value:
+        if isinstance(said, dict):
+            if "" in said:
+                return Cells([[value(one) for one in row] for row in said[""]])
+            return {name: value(one) for name, one in said.items()}
+        return said if isinstance(said, str) else left[said[0]].reshape(said[1]).astype(said[2])
+
+    return {name: value(said) for name, said in plain["values"].items()}, plain["skipped"]
+
+
+def mat_values(data: bytes, where: str) -> fence.Answer:
+    """Return what a .mat file holds, behind the fence: arrays apart, texts, structures and cell arrays by name."""
+    from scipy.io import loadmat  # imported late, in the fence: the server starts without it
+
+    arrays: list[Array] = []
+    skipped: list[tuple[str, str]] = []
+
+    def plain(name: str, value: Any) -> Any:
+        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
+            return {field: plain(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names}
+        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1:
+            return str(value.flat[0])
+        if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 2:
+            return {"": [[plain(name, one) for one in row] for row in value]}
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim != 2:
+            skipped.append((name, "is not a number, a text or a structure"))
+            return ""
+        arrays.append(value.astype(float))
+        return [len(arrays) - 1, list(value.shape), value.dtype.name]
+
+    try:
+        found = loadmat(io.BytesIO(data))
+    except (NotImplementedError, ValueError, TypeError) as reason:
+        raise LogError(f"is not read: {reason}", where, "") from reason
+    values = {name: plain(name, value) for name, value in found.items() if not name.startswith("__")}
+    missing = {name.partition(".")[0] for name, _ in skipped if "." not in name}
+    return {"values": {n: v for n, v in values.items() if n not in missing}, "skipped": skipped}, arrays
 
 
 @dataclass

@@ -27,6 +27,7 @@ from twodof.slx.matlab.signals import chosen
 from twodof.slx.matlab.values import (
     FUNCTIONS,
     Array,
+    Cells,
     Members,
     NotComputed,
     Value,
@@ -85,6 +86,8 @@ class MatlabFunction(Block):
             if not main.results:
                 raise NotComputed("it has no output")
             self.inputs = [one.port(_port(name)) for name, one in zip(self.given, signals, strict=True)]
+            self.cells: Names = {}
+            """Persistent cell arrays: they are constant from the first call on."""
             with tracing("MATLAB Function"):
                 self._declare()
         except NotComputed as reason:
@@ -138,7 +141,7 @@ class MatlabFunction(Block):
             self.constants[name] if name in self.constants else value_of(u[_port(name)])
             for name in self.code.main.arguments
         ]
-        evaluation = Evaluation(_nested(kept, 2))
+        evaluation = Evaluation(_nested(kept | self.cells if kept else kept, 2))
         names = call(self.code, self.code.main, given, evaluation)
         results: Names = {}
         for name in self.code.main.results:
@@ -150,7 +153,11 @@ class MatlabFunction(Block):
             if set(wanted) != found.keys():
                 raise NotComputed(f"the fields of the output {name} are not those of the bus {self.buses[name].name}")
             results |= {path: found[path] for path in wanted}
-        return results, _flat(dict(evaluation.names))
+        after = _flat(dict(evaluation.names))
+        for name in [name for name, one in after.items() if isinstance(one, Cells)]:
+            if self.cells.setdefault(name, after[name]) is not after.pop(name):
+                raise NotComputed(f"the cell array {name.split('.', 1)[1]} is kept and changes")
+        return results, after
 
     def _remembered(self, x: Any) -> Names:
         return {name: value_of(x[one]).reshape(self.sizes[name], order="F") for name, one in self.kept.items()}

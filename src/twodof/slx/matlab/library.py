@@ -172,6 +172,16 @@ LIBRARY = {
     R = [1 - 2 * (y^2 + z^2), 2 * (x * y - w * z), 2 * (x * z + w * y);
          2 * (x * y + w * z), 1 - 2 * (x^2 + z^2), 2 * (y * z - w * x);
          2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x^2 + y^2)];""",
+    "rotm2quat": """
+    function q = rotm2quat(R)
+    Q = [1 + R(1, 1) + R(2, 2) + R(3, 3), R(3, 2) - R(2, 3), R(1, 3) - R(3, 1), R(2, 1) - R(1, 2)
+         R(3, 2) - R(2, 3), 1 + R(1, 1) - R(2, 2) - R(3, 3), R(1, 2) + R(2, 1), R(1, 3) + R(3, 1)
+         R(1, 3) - R(3, 1), R(1, 2) + R(2, 1), 1 - R(1, 1) + R(2, 2) - R(3, 3), R(2, 3) + R(3, 2)
+         R(2, 1) - R(1, 2), R(1, 3) + R(3, 1), R(2, 3) + R(3, 2), 1 - R(1, 1) - R(2, 2) + R(3, 3)];
+    q = Q(1, :); m = Q(1, 1);
+    for k = 2:4, if Q(k, k) > m, q = Q(k, :); m = Q(k, k); end, end
+    q = q / norm(q);
+    if q(1) < 0, q = -q; end""",
     "quatmultiply": """
     function p = quatmultiply(q, r)
     if nargin < 2, r = q; end

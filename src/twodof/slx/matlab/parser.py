@@ -465,18 +465,35 @@ class MatlabParser:
         return Tree("header", name, (values,))
 
     def functions(self) -> list[FunctionDefinition]:
-        """Read the functions from here on. They all end with `end`, or none does."""
-        found = list[FunctionDefinition]()
+        """Read the functions from here on. They all end with `end`, and may hold others, or none does."""
+        found, around, behind = list[FunctionDefinition](), list[FunctionDefinition](), False
         while self.word == "function":
             name, arguments, results = self._head()
             start, body = self.at, self.block("end", "function")
             found.append(FunctionDefinition(name, arguments, results, body, start, self.at))
-            if self.word == "end":
+            around.append(found[-1])
+            while self.word == "end":
+                if not around:
+                    raise NotComputed(f"line {self.here.line}: this end ends nothing")
+                ended = around.pop()
+                for one in found[found.index(ended) + 1 :]:
+                    self._check_apart(one, ended, behind)
                 self.at += 1
-                self.block("end", "function")
-            if self.word == "end":
-                raise NotComputed(f"line {self.here.line}: this end ends nothing")
+                behind = bool(self.block("end", "function").parts)
         return found
+
+    def _check_apart(self, inner: FunctionDefinition, outer: FunctionDefinition, behind: bool) -> None:
+        """Raise NotComputed for a function in another one that shares a variable with it: both would see its changes.
+
+        Arguments and results are the own ones of each.
+        """
+        bodies = [self.tokens[one.start : one.stop] for one in (inner, outer)]
+        used, used_around = ({token.text for token in body if token.kind == "name"} for body in bodies)
+        variables = {*outer.arguments, *outer.results, *assigned_by(bodies[0]), *assigned_by(bodies[1])}
+        shared = (used & used_around & variables) - {*inner.arguments, *inner.results}
+        if shared or behind:
+            what = f"shares {min(shared)} with it" if shared else "stands before statements of it"
+            raise NotComputed(f"the function {inner.name} in {outer.name} {what}: not translated")
 
     def _head(self) -> tuple[str, list[str], list[str]]:
         """Read `function [a, b] = name(c, d)`, of which only the name must be there."""
@@ -506,6 +523,6 @@ def _chain(parts: Sequence[Tree]) -> Tree:
 
 def _target(made: Tree) -> Tree:
     """Return a tree as what is assigned, `s.a(2)`. Raises NotComputed for anything else."""
-    if made.kind != "access" or made.parts[0].kind != "name" or any(one.kind == "{" for one in made.parts):
+    if made.kind != "access" or made.parts[0].kind != "name":
         raise NotComputed("'=' is not expected")
     return made

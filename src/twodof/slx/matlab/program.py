@@ -20,7 +20,7 @@ from twodof.blocks.bus import Bus
 from twodof.blocks.expressions.numbers import INTEGER_TYPES
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
-from twodof.slx.matlab.evaluation import Evaluation, range_of, script_text, signed, table_values
+from twodof.slx.matlab.evaluation import Evaluation, data_of, range_of, script_text, signed
 from twodof.slx.matlab.library import LIBRARY
 from twodof.slx.matlab.parser import BLOCK_COMMENT, FunctionDefinition, MatlabParser, Tree, expression_of, tokens_of
 from twodof.slx.matlab.signals import chosen, truth, wrapped
@@ -48,7 +48,7 @@ from twodof.slx.matlab.values import (
 )
 
 DEEPEST_CALLS, MOST_TURNS, _RETURNING_TURNS = 20, 1000, 40
-_TABLE = re.compile(r"\w[\w. -]{0,100}\.csv")
+_DATA = re.compile(r"\w[\w. -]{0,100}\.(?:csv|mat)")
 EMPTY = np.zeros((0, 0))
 IN_BASE = "base/."
 """What the names begin with under which names of the base workspace are kept between calls."""
@@ -77,6 +77,8 @@ class Code:
         self.folders = folders
         self.files: dict[str, Code | None] = {}
         """The functions of the folders by name; None for a name without a file."""
+        self.read: dict[Path, Value] = {}
+        """What files of data hold, each read once."""
         self.prefix = ""
         """What the names of persistent variables begin with."""
         self.tokens = tokens_of(BLOCK_COMMENT.sub(lambda m: "\n" * m[0].count("\n"), text))
@@ -121,19 +123,21 @@ class Code:
                 except NotComputed as reason:
                     raise NotComputed(f"{name}.m: {reason}") from None
                 made.files, made.initial, made.notes, made.known = self.files, self.initial, self.notes, self.known
-                made.base, made.touched = self.base, self.touched
+                made.base, made.touched, made.read = self.base, self.touched, self.read
                 made.prefix = f"{name}/"
                 self.files[name] = made
         return self.files[name]
 
-    def table(self, name: Value) -> Array:
-        """Return the numbers of a .csv file in one of the folders. Raises NotComputed where there is none."""
-        candidates = [one / name for one in self.folders if isinstance(name, str) and _TABLE.fullmatch(name)]
+    def data(self, name: Value) -> Value:
+        """Return what a .csv or .mat file in one of the folders holds. Raises NotComputed where there is none."""
+        candidates = [one / name for one in self.folders if isinstance(name, str) and _DATA.fullmatch(name)]
         try:
-            shape, (found,) = fence.read(table_values, next(filter(Path.is_file, candidates)))
+            path = next(filter(Path.is_file, candidates))
+            if path not in self.read:
+                self.read[path] = data_of(path)
         except (StopIteration, LogError) as reason:
             raise NotComputed(str(reason) or f"{name} is not found") from None
-        return found.reshape(shape)
+        return self.read[path]
 
 
 @cache
@@ -290,12 +294,13 @@ class Program:
         name, steps = target.parts[0].text, list[Any]()
         old: Value = self.evaluation.names.get(name)
         for step in target.parts[1:]:
-            if step.kind == ".":
-                steps.append(step.text)
-                old = old.get(step.text) if isinstance(old, dict) else None
-            else:
+            if step.kind == "{":
+                steps.append([int(scalar(self.value(one))) for one in step.parts])
+            elif step.kind == "(":
                 steps.append(tuple(self.arguments(step.parts, old if isinstance(old, np.ndarray) else EMPTY)))
-                old = None
+            else:
+                steps.append(step.text)
+            old = old.get(step.text) if step.kind == "." and isinstance(old, dict) else None
         value = compute()
         if f"{self._kept(name)}?" in self.evaluation.names and name in self.persistent:
             self.evaluation.names[f"{self._kept(name)}?"] = np.array([[True]])
@@ -472,7 +477,7 @@ class Program:
                 return indexed(np.asarray(value), self.arguments(step.parts, value))
             if not isinstance(value, Cells) or len(step.parts) > 2:
                 raise NotComputed("this is no cell array, or one of more than two dimensions")
-            return value.cell(*(int(scalar(self.value(one))) for one in step.parts))
+            return value[value.place(*(int(scalar(self.value(one))) for one in step.parts))]
         if isinstance(value, dict) and step.text not in value:
             value = number(value)  # a field of what a parameter holds
         if not isinstance(value, dict) or step.text not in value:
@@ -598,11 +603,11 @@ class Program:
         """Call a function of the program, or one of MATLAB's."""
         if name in ("evalin", "assignin") and len(arguments) > 1:
             return self._of_base(*arguments[:2], *arguments[2:3])
-        if name in ("readtable", "readmatrix", "csvread") and arguments:
+        if name in ("load", "readtable", "readmatrix", "csvread") and arguments:
             if len(arguments) > 1:
                 raise NotComputed(f"{name} with more than the name of a file is not computed")
-            table = self.code.table(arguments[0])
-            return table.view(MatlabTable) if name == "readtable" else table
+            found = self.code.data(f"{arguments[0]}".removesuffix(".mat") + ".mat" if name == "load" else arguments[0])
+            return found.view(MatlabTable) if name == "readtable" else found
         if name == "exist" and arguments:
             return np.array([[float(arguments[0] in self.evaluation.names)]])
         name, arguments = (arguments[0], arguments[1:]) if name == "feval" and arguments else (name, arguments)

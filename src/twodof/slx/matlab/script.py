@@ -5,20 +5,17 @@ these folders, and reads their .mat and .csv files behind the fence; no other fi
 computed is skipped and said by its line, and what it would have assigned is unknown afterwards.
 """
 
-import io
 import re
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog import fence
-from twodof.flightlog.fence import Answer
-from twodof.slx.matlab.evaluation import MOST_STEPS, Evaluation, script_text
+from twodof.slx.matlab.evaluation import MOST_STEPS, Evaluation, recorded, script_text
 from twodof.slx.matlab.parser import OPENING, SILENT, Tree, assigned_by
 from twodof.slx.matlab.program import EMPTY, Code, NotTranslatedLine, Program
 from twodof.slx.matlab.values import FUNCTIONS, Array, NotComputed, Value, as_array, bounded, class_of, scalar
@@ -79,11 +76,7 @@ class RunningScript(Program):
             raise NotComputed(reason.what) from None
 
     def called(self, name: str, arguments: list[Value], bracket: bool, count: int = 1) -> Value:
-        """Call a function; two of them give the base workspace its names, and `load` returns those of a file."""
-        if name == "load" and len(arguments) == 1 and isinstance(arguments[0], str):
-            loaded: dict[str, Value] = {}
-            self._file(arguments[0], ".mat", loaded)
-            return loaded
+        """Call a function; two of them give the base workspace its names."""
         if name in ("rand", "randn"):
             if not any(one.why.endswith("a fixed draw") for one in self.skipped):
                 self.skipped.append(Skipped(self.line, f"{name} gives a fixed draw"))
@@ -234,42 +227,8 @@ def read_workspace(
         if path.suffix == ".m":
             code, _ = fence.read(script_text, path)
             return run(code, names, [path.parent, *folders], depth)
-        plain, arrays = fence.read(mat_values, path)
+        found, skipped = recorded(path)
     except LogError as reason:
         raise DiagramError(reason.what, reason.where, "give a script (.m) or a .mat of format 7 or older") from reason
-    left = list(arrays)
-
-    def value(said: Any) -> Value:
-        if isinstance(said, dict):
-            return {name: value(one) for name, one in said.items()}
-        return said if isinstance(said, str) else left[said[0]].reshape(said[1]).astype(said[2])
-
-    names.update({name: value(said) for name, said in plain["values"].items()})
-    return [Skipped(0, f"{name}: {why}") for name, why in plain["skipped"]]
-
-
-def mat_values(data: bytes, where: str) -> Answer:
-    """Return the numbers, texts and structures of a .mat file, behind the fence: arrays apart, others by name."""
-    from scipy.io import loadmat  # imported late, in the fence: the server starts without it
-
-    arrays: list[Array] = []
-    skipped: list[tuple[str, str]] = []
-
-    def plain(name: str, value: Any) -> Any:
-        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
-            return {field: plain(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names}
-        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1:
-            return str(value.flat[0])
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim != 2:
-            skipped.append((name, "is not a number, a text or a structure"))
-            return ""
-        arrays.append(value.astype(float))
-        return [len(arrays) - 1, list(value.shape), value.dtype.name]
-
-    try:
-        found = loadmat(io.BytesIO(data))
-    except (NotImplementedError, ValueError, TypeError) as reason:
-        raise LogError(f"is not read: {reason}", where, "") from reason
-    values = {name: plain(name, value) for name, value in found.items() if not name.startswith("__")}
-    missing = {name.partition(".")[0] for name, _ in skipped if "." not in name}
-    return {"values": {n: v for n, v in values.items() if n not in missing}, "skipped": skipped}, arrays
+    names.update(found)
+    return [Skipped(0, f"{name}: {why}") for name, why in skipped]

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from functools import reduce
 from itertools import product
 from operator import and_
@@ -52,15 +53,15 @@ class Cells(list[Value]):
         """Return rows and columns."""
         return len(self) // max(self.columns, 1), self.columns
 
-    def cell(self, *index: int) -> Value:
-        """Return the cell at a row and a column, or at one index, which counts down the columns."""
+    def place(self, *index: int) -> int:
+        """Return where the cell at a row and a column is, or at one index, which counts down the columns."""
         rows, columns = self.shape
         row, column = (
             index if len(index) == 2 else ((index[0] - 1) % max(rows, 1) + 1, (index[0] - 1) // max(rows, 1) + 1)
         )
         if not (1 <= row <= rows and 1 <= column <= columns):
             raise NotComputed(f"no cell {index[0]}")
-        return self[(row - 1) * columns + column - 1]
+        return (row - 1) * columns + column - 1
 
 
 class String(str):
@@ -185,6 +186,7 @@ def _places(index: Value, size: int) -> Array:
 
 def indexed(value: Value, index: list[Value]) -> Value:
     """Return the elements of a value at one index or two; ":" stands for all."""
+    index = _in_plane(index)
     if isinstance(value, Members) and len(index) == 1:
         # Mode(2), the member of this number
         return converted(index[0], "int32") if is_signal(index[0]) else as_array(index[0]).astype(np.int32)
@@ -207,8 +209,14 @@ def indexed(value: Value, index: list[Value]) -> Value:
     return filled(shape, (elements[c * flat.shape[0] + r] for c in columns for r in rows))
 
 
+def _in_plane(index: Sequence[Value]) -> list[Value]:
+    """Return indices without those of further dimensions, along which an array has one element: 1 and ":"."""
+    further = [one for one in index[2:] if not isinstance(one, str) and (is_signal(one) or not np.all(one == 1))]
+    return [*index] if further else [*index[:2]]
+
+
 def stored(old: Value, steps: list[Any], value: Value) -> Value:
-    """Return `old` with `value` stored at a path of fields and indices."""
+    """Return `old` with `value` stored at a path of fields, indices and, as a list, places of a cell array."""
     if not steps:
         return value
     step, rest = steps[0], steps[1:]
@@ -216,6 +224,13 @@ def stored(old: Value, steps: list[Any], value: Value) -> Value:
         made = dict(old) if isinstance(old, dict) else {}
         made[step] = stored(made.get(step), rest, value)
         return made
+    if isinstance(step, list):
+        if not isinstance(old, Cells):
+            raise NotComputed("braces store into a cell array only")
+        cells, place = copy(old), old.place(*step)
+        cells[place] = stored(old[place], rest, value)
+        return cells
+    step = _in_plane(step)
     step = step[:1] if len(step) == 2 and isinstance(value, dict) and np.all(step[1] == 1) else step
     old = None if is_empty(old) and isinstance(value, dict) else old
     if (isinstance(value, dict) or rest) and len(step) == 1 and (old is None or isinstance(old, dict | list)):
@@ -422,6 +437,7 @@ def _filled(value: float) -> Callable[..., Array]:
     def make(*sizes: Value) -> Array:
         kind = next((KINDS[s] for s in sizes if isinstance(s, str) and s in KINDS), np.float64)
         numbers = [int(n) for s in sizes if not isinstance(s, str) for n in as_array(s).flatten()]
+        numbers = numbers[:2] if numbers[2:] == [1] * len(numbers[2:]) else numbers
         rows, columns = (numbers * 2)[:2] if len(numbers) < 2 else numbers[:2] if numbers else (1, 1)
         if max(rows, 0) * max(columns, 0) > MOST_ELEMENTS or len(numbers) > 2:
             raise ValueError("too many elements or dimensions")
@@ -453,7 +469,7 @@ def _found(value: Value, most: Value = None) -> Array:
 
 def _size(value: Value, dimension: Value = None) -> Array:
     shape = np.array([value.shape if isinstance(value, Cells) else as_array(value).shape], dtype=float)
-    return shape if dimension is None else shape[:, [int(scalar(dimension)) - 1]]
+    return shape if dimension is None else np.append(shape, [[1.0]], axis=1)[:, [min(int(scalar(dimension)), 3) - 1]]
 
 
 def _struct(*pairs: Value) -> dict[str, Value]:
@@ -532,6 +548,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "eye": lambda *s: np.eye(*_filled(0.0)(*s).shape), "false": lambda *s: _filled(0.0)(*s).astype(bool),
     "realmax": _filled(float(np.finfo(float).max)), "realmin": _filled(float(np.finfo(float).tiny)),
     "size": _size,
+    "cell": lambda *s: Cells([[np.zeros((0, 0))] * len(row) for row in _filled(0.0)(*s)]),
     "diag": lambda v: np.diag(as_array(v).flatten()) if 1 in as_array(v).shape else np.diag(as_array(v))[:, None],
     **{name: _each(getattr(np, name)) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor", "ceil",
        "sign", "hypot", "sinc")},
@@ -575,6 +592,7 @@ FUNCTIONS: dict[str, Callable[..., Value]] = {
     "conv": lambda a, b: np.convolve(as_array(a).flatten(), as_array(b).flatten())[None, :],
     "poly": lambda v: np.poly(as_array(v).flatten())[None, :], "fliplr": lambda v: as_array(v)[:, ::-1],
     "polyval": lambda p, x: np.polyval(as_array(p).flatten(), as_array(x)), "flipud": lambda v: as_array(v)[::-1],
+    "flip": lambda v: as_array(v)[:, ::-1] if as_array(v).shape[0] == 1 else as_array(v)[::-1],
     **{f"is{name}": _each(getattr(np, f"is{name}")) for name in ("nan", "inf", "finite")},
     "strcmp": lambda a, b: bool(isinstance(a, str) and a == b), "sprintf": _formatted,
     "bin2dec": lambda text: float(int(text, 2)),
