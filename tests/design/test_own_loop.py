@@ -157,9 +157,24 @@ def test_python_control_finds_the_crossover_of_integrators(text: str) -> None:
     assert phase == pytest.approx(math.degrees(found.phase_margin), abs=1.0)
 
 
-def test_a_disk_margin_without_end_is_infinite() -> None:
-    # |S - 1/2| of L = 1 / (2 s) is 1/2 at every frequency.
-    assert math.isinf(margins(read_rational("1 / (2 s)").transfer()).disk.gain[1])
+@pytest.mark.parametrize("text", ["1", "(s + 1) / (s + 1)"])
+def test_a_loop_of_one_has_a_disk_margin_without_end(text: str) -> None:
+    # S is 1/2 at every frequency, so no factor but -1 makes 1 + L zero.
+    disk = margins(written(text)).disk
+    assert (disk.alpha, disk.gain, disk.phase) == (math.inf, (-1.0, math.inf), math.pi)
+
+
+@pytest.mark.parametrize(
+    "text", ["1 / (2 s)", "(s + 2) / (s + 1)", "0.5 (s + 1) / (s + 2)", "(z + 0.2) / (z - 0.5)", "4 / (s + 1)^3"]
+)
+def test_a_disk_margins_phase_is_python_controls(text: str) -> None:
+    loop = written(text, 0.1 if "z" in text else None)
+    found = margins(loop).disk
+    top = math.pi / 0.1 if loop.dt else 1e6
+    system = control.ss(loop.a, loop.b, loop.c, loop.d, loop.dt or 0)
+    alpha, _, phase = control.disk_margins(system, np.clip([found.omega], 1e-6, top))
+    assert found.alpha == pytest.approx(alpha, rel=1e-5)
+    assert math.degrees(found.phase) == pytest.approx(phase, rel=1e-5)
 
 
 def test_what_does_not_fit_together_is_refused() -> None:

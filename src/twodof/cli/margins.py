@@ -200,7 +200,7 @@ def _cells(m: LoopMargins) -> tuple[str, ...]:
         f"{_decibels(m.disk.gain[1])}, {math.degrees(m.disk.phase):.0f}",
         f"{m.ms:.2f}",
         f"{m.mt:.2f}",
-        _number(m.bandwidth, 3),
+        _number(m.bandwidth or math.inf, 3),  # 0: nowhere does the loop follow
     )
 
 

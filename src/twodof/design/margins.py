@@ -104,6 +104,8 @@ class DiskMargin:
     def gain(self) -> tuple[float, float]:
         """Factors (low, high) between which the gain alone may change; low may be < 0, and high infinite."""
         up, down = 1.0 - self.skew, 1.0 + self.skew
+        if math.isinf(self.alpha):
+            return (-up / down if down else -math.inf), math.inf
         low = (2.0 - self.alpha * up) / (2.0 + self.alpha * down)
         rest = 2.0 - self.alpha * down
         # An infinite factor comes out as 1e15 by rounding.
@@ -111,13 +113,12 @@ class DiskMargin:
 
     @property
     def phase(self) -> float:
-        """Largest change of the phase alone, either way [rad], at most pi: equation (15) of the paper named above."""
-        low, high = self.gain
-        if math.isinf(high):
-            cosine = low
-        else:
-            cosine = (1.0 + low * high) / (low + high) if low + high > 0.0 else -1.0
-        return math.acos(max(-1.0, min(1.0, cosine)))
+        """Largest change of the phase alone, either way [rad], at most pi: where |factor| is 1 on |d| = `alpha`."""
+        if self.alpha * abs(self.skew) >= 2.0 or math.isinf(self.alpha):
+            return math.pi
+        squared = self.alpha**2
+        cosine = (4.0 - squared * (1.0 + self.skew**2)) / (4.0 + squared * (1.0 - self.skew**2))
+        return math.acos(max(-1.0, cosine))
 
 
 _ON_THE_POINT = 1e-6  # of an open-loop pole to z = 1 or z = -1, where L is then infinite
@@ -156,7 +157,7 @@ class LoopMargins:
     `gains` and `phases` are all crossings, by rising frequency. `poles` are those of the closed loop (z plane, or
     rad/s), the least stable first; `motion` is that of the worst pole. `ms` and `mt` are the largest |S| and |T|, at
     `ms_at` and `mt_at` [rad/s]. For an unstable loop they are infinite, and their frequencies and that of `disk` are
-    NaN. `bandwidth` [rad/s] is where |T| falls through -3 dB.
+    NaN. `bandwidth` [rad/s] is where |T| falls through -3 dB, 0 where |T| is nowhere above.
     """
 
     loop: LoopTransfer
@@ -301,7 +302,7 @@ def margins(loop: Any, skew: float = 0.0) -> LoopMargins:
         ms_at,
         mt,
         mt_at,
-        DiskMargin(1.0 / reach if reach > 0.0 else 0.0, skew, disk_at),
+        DiskMargin(1.0 / reach if reach > 0.0 else math.inf, skew, disk_at),
         _bandwidth(t, grid),
     )
 
