@@ -62,6 +62,11 @@ def test_figures_of_a_step_are_those_in_closed_form(shell: Shell) -> None:
 
 
 @pytest.mark.long
+def test_a_loop_that_comes_back_to_0_has_a_peak_alone(shell: Shell) -> None:
+    # T = s / (2 s + 1): it jumps to 1/2.
+    assert shell(["step", "s / (s + 1)"]).out.splitlines()[-1] == "final value 0, peak 0.5"
+
+
 @pytest.mark.parametrize("command", ["margins", "bode", "rlocus", "step"])
 @pytest.mark.parametrize("period", [[], ["--period", "0.1"]])
 def test_each_command_draws(command: str, period: list[str], folder: Path, tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def places(folder: Path, command: str, suffix: str) -> dict[str, Path]:
     (folder / "a file").touch()
     found = {"is a directory": folder / f"is a folder{suffix}", "folder": folder / "a file" / f"below{suffix}"}
     wrong = {"suffix '.h5'": folder / "flight.h5"} if command.startswith(("simulate", "fly")) else {}
-    return {**found, "mkdir -p": folder / "nowhere" / f"a{suffix}", **wrong}
+    return {**found, "mkdir -p '": folder / "not there" / f"a{suffix}", **wrong}
 
 
 @pytest.mark.parametrize(("command", "suffix", "work"), WORK)

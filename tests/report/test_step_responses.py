@@ -141,7 +141,8 @@ def test_flights_are_aligned_at_their_first_steps() -> None:
     np.testing.assert_allclose(mine.time, stock.time, atol=1e-9)
     np.testing.assert_allclose(mine.value, 2.0 * stock.value, atol=1e-9)
     assert len(view.notes) == 2
-    assert len(step_rows(flight_steps(logs))) == 4
+    assert len(rows := step_rows(flight_steps(logs))) == 4
+    assert all(row[5].endswith("mean of 2") for row in rows)
     assert comparison_view(logs, Align.start).span == pytest.approx((0.0, 5.0), abs=2.0 * PERIOD)
 
 

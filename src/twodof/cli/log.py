@@ -119,7 +119,8 @@ def plot(
     """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation.
 
     Several flights are drawn one over the other, aligned where their set-points first step. A table has rise,
-    overshoot, settling and peak of each step of the set-point.
+    overshoot, settling and peak of each step of the set-point. Equal steps share the settling of their mean response.
+    |M| counts from 0; a promise of design counts it from its mean before the step.
     """
     first = files[0]
     target = out or (first.with_suffix(".png") if len(files) == 1 else first.with_name(f"{first.stem}-compared.png"))

@@ -7,6 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twodof.cli.options import Force, Json, StockGains, argument, option, read_json
 from twodof.cli.output import exit_unless, print_result, progress, table
 from twodof.compile.linear.linear_model import LinearModel
@@ -32,7 +35,8 @@ Plant = Annotated[
     ),
 ]
 Controller = Annotated[
-    str, argument('From error to plant: a diagram, or a transfer function as "3 + 1 / s".', "CONTROLLER")
+    str,
+    argument('From error to plant: a diagram, or a transfer function as "3 + 1 / s" (after --: "-2").', "CONTROLLER"),
 ]
 Period = Annotated[float | None, option("Sample time: of z, of a diagram, or of a loop to be sampled.", "SECONDS")]
 Input = Annotated[str | None, option("For a plant with several inputs: the one that the controller drives.", "NAME")]
@@ -69,15 +73,8 @@ def _command(picture: str, about: str, drawn: str = "it there") -> Callable[...,
         lines += margin_lines({"loop": found})
         if picture == "step" and found.stable:
             time, value = step_response(found)
-            figures = step_figures(time, value, 0.0, final_value(found))
-            document["step"] = asdict(figures)
-            settling = f"settling time {figures.settling_time:.3g} s (2 %)"
-            if math.isnan(figures.settling_time):
-                settling = f"not within 2 % after {time[-1]:.3g} s"
-            lines.append(
-                f"rise time {figures.rise_time:.3g} s, overshoot {100.0 * figures.overshoot:.1f} %, {settling}, "
-                f"final value {figures.final:.4g}"
-            )
+            shown, document["step"] = _step_line(time, value, final_value(found))
+            lines.append(shown)
         if plot is not None:
             _draw({"loop": found}, plot, title, force, picture)
             lines.append(f"written: {plot}")
@@ -179,6 +176,20 @@ def cascade_loops(
         lines.append(f"written: {plot}")
     print_result(json, {"rig": rig, "loops": {name: m.to_json() for name, m in found.items()}}, lines)
     exit_unless(all(m.stable for m in found.values()))
+
+
+def _step_line(
+    time: NDArray[np.float64], value: NDArray[np.float64], final: float
+) -> tuple[str, dict[str, float] | None]:
+    """Return the figures of a step response as a line and as plain data; None if it ends at 0, where it began."""
+    if final == 0.0:
+        return f"final value 0, peak {value[np.argmax(np.abs(value))]:.4g}", None
+    figures = step_figures(time, value, 0.0, final)
+    settling = f"settling time {figures.settling_time:.3g} s (2 %)"
+    if math.isnan(figures.settling_time):
+        settling = f"not within 2 % after {time[-1]:.3g} s"
+    ends = f"{settling}, final value {final:.4g}"
+    return f"rise time {figures.rise_time:.3g} s, overshoot {100.0 * figures.overshoot:.1f} %, {ends}", asdict(figures)
 
 
 def margin_lines(found: Mapping[str, LoopMargins]) -> list[Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import ExperimentError
+from twodof.errors import ExperimentError, nearest
 from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep
 from twodof.signals import HOVER, MODES, OFF, OPEN_LOOP, PERIOD
 from twodof.sim.closed_loop import ARMING
@@ -158,7 +158,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one 
 def experiment(name: str, **changes: Any) -> Experiment:
     """Return the ready-made experiment `name` with fields changed. Raises ExperimentError for an unknown name."""
     if name not in EXPERIMENTS:
-        raise ExperimentError(f"no experiment called {name!r:.80}", "", f"there are: {', '.join(EXPERIMENTS)}")
+        raise ExperimentError(f"no experiment called {name!r:.80}", "", f"there are: {nearest(name, EXPERIMENTS)}")
     known = EXPERIMENTS[name].__dataclass_fields__
     for field in changes:
         if field not in known:

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from io import RawIOBase
@@ -143,7 +144,7 @@ def check_folder(path: str | Path, overwrite: bool = False) -> None:
         if target.is_dir():
             raise LogError("is a directory", str(path), "name a file")
         if not target.parent.is_dir():
-            raise LogError("its folder is not there", str(path), f"make it: mkdir -p {target.parent}")
+            raise LogError("its folder is not there", str(path), f"make it: mkdir -p {shlex.quote(str(target.parent))}")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise LogError("its folder may not be written", str(path), "choose another folder")
     check_free(path, overwrite)

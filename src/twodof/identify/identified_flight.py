@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError, LogError, finite
+from twodof.errors import IdentificationError, LogError, finite, nearest
 from twodof.flightlog.log import FlightLog
 from twodof.identify import simple_pitch, simple_velocity
 from twodof.identify.disturbance.disturbance_model import Disturbance
@@ -178,7 +178,7 @@ def identify_flight(
     """
     kind = experiment_in(log) if experiment is None else experiment
     if kind not in KINDS:
-        raise IdentificationError(f"no experiment called {kind!r:.80}", "", f"there are: {', '.join(KINDS)}")
+        raise IdentificationError(f"no experiment called {kind!r:.80}", "", f"there are: {nearest(kind, KINDS)}")
     if impulse is not None and kind != "doublet":
         raise IdentificationError("the impulse's log is of use to a doublet only", kind, "leave it out")
     record = cut(log, kind, window)

@@ -211,7 +211,8 @@ def _said(value: float, unit: str) -> str:
 def step_rows(steps: Mapping[str, Sequence[FlownStep]]) -> list[tuple[str, ...]]:
     """Return a row of text for each step.
 
-    Columns: flight, time [s], step, rise [s], overshoot [%], settling [s], peak, peak |M|.
+    Columns: flight, time [s], step, rise [s], overshoot [%], settling [s], peak, peak |M|. Settling of the mean
+    response of several equal steps says of how many.
     """
     rows: list[tuple[str, ...]] = []
     for name, found in steps.items():
@@ -223,7 +224,7 @@ def step_rows(steps: Mapping[str, Sequence[FlownStep]]) -> list[tuple[str, ...]]
             shown = (
                 _said(figures.rise_time, ""),
                 _said(100.0 * figures.overshoot, ""),
-                _said(figures.settling_time, ""),
+                _said(figures.settling_time, "") + (f", mean of {step.averaged}" if step.averaged > 1 else ""),
                 f"{scale * figures.peak:.3g}",
                 _said(step.peak_moment, ""),
             )
