@@ -71,6 +71,9 @@ PITCH, RAIL = ("mu", "tau", "w_n", "xi", "coulomb"), ("k_v", "p_v", "coulomb", "
 COMPARED = ("mu", "tau", "w_n", "xi", "k_v", "p_v")
 """Figures that are compared between flights with running rotors; along the rail tau is the range's age."""
 
+_TOLD = 0.01
+"""Share of a fit's information on a figure that is from the data; below it they tell nothing beside the prior."""
+
 
 def real_flights(*folders: Path, kinds: Sequence[str] = ()) -> Iterator[tuple[RealFlight, Estimate]]:
     """Each flight whose log is in one of the folders, with the fit of it that `twodof identify` makes by default."""
@@ -90,8 +93,9 @@ def real_flights(*folders: Path, kinds: Sequence[str] = ()) -> Iterator[tuple[Re
 class Agreement:
     """Weighted `mean` of a figure over n flights, and how well they agree with it.
 
-    `square` is chi-square about the mean and `point` its 99 % point; `spread` the standard deviation between flights;
-    `widest` the largest standard deviation that a flight claims.
+    Both are of the data alone: the prior, which all fits share, is taken out of each. `square` is chi-square about the
+    mean and `point` its 99 % point. `spread` is the standard deviation between flights and `widest` the largest
+    standard deviation that a flight claims, of the fits as they are.
     """
 
     n: int
@@ -104,15 +108,20 @@ class Agreement:
 
 
 def agreement(found: Sequence[Estimate], figure: str) -> Agreement:
-    """How well the flights agree on a figure; a fit that does not tell it is left out."""
+    """How well the flights agree on a figure; a fit whose data do not tell it is left out."""
     told = [one for one in found if figure in (*one.labels, *one.summed) and math.isfinite(one.sigma(figure))]
     values, sigmas = np.array([[one[figure], one.sigma(figure)] for one in told]).T
-    weights = sigmas**-2.0
+    centers, widths = np.array([one.prior.get(figure, (0.0, math.inf)) for one in told]).T
+    # The information of a posterior is that of the data and that of the prior.
+    weights = np.maximum(sigmas**-2.0 - widths**-2.0, 0.0)
+    telling = weights * sigmas**2.0 > _TOLD
+    values, weights = ((values * sigmas**-2.0 - centers * widths**-2.0) / weights)[telling], weights[telling]
     mean = float(weights @ values / weights.sum())
     square = float(weights @ (values - mean) ** 2)
-    point = float(chi2.ppf(0.99, len(told) - 1))
+    n = int(telling.sum())
+    spread = float(np.std([one[figure] for one in told], ddof=1))
     return Agreement(
-        len(told), mean, float(weights.sum() ** -0.5), square, point, float(values.std(ddof=1)), float(sigmas.max())
+        n, mean, float(weights.sum() ** -0.5), square, float(chi2.ppf(0.99, n - 1)), spread, float(sigmas.max())
     )
 
 
