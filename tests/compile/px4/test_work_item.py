@@ -123,6 +123,17 @@ def test_a_missing_set_point_is_replaced_and_said(bench: Bench) -> None:
     assert rows["active"].all()
 
 
+def test_one_that_has_no_loops_along_the_rail_misses_its_set_points_there_too(started: Bench) -> None:
+    mode(started, rail=True)
+    fly(started, 5)
+    fly(started, 5, theta_0=math.nan)
+    fly(started, 5, thrust=math.nan)
+    mode(started, armed=False)
+    fly(started, 5, theta_0=math.nan, thrust=math.nan)
+    rows = started.run().topic("twodof_pitch")
+    assert list(rows["faults"]) == [0] * 5 + [NO_SETPOINT] * 10 + [0] * 5
+
+
 def test_in_rate_mode_the_rate_set_point_is_read(started: Bench) -> None:
     mode(started, attitude=False)
     started.publish("vehicle_rates_setpoint", pitch=0.7, thrust_body=[0.0, 0.0, -0.5])

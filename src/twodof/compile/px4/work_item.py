@@ -226,7 +226,7 @@ def _input_fields(names: ModuleNames, role: ModuleRole, found: MessageFields) ->
         "updates": "\n".join(
             f"    {TOPICS[topic]['member']}_sub.update(&{TOPICS[topic]['member']});" for topic in read
         ),
-        "thrust": fill("thrust_setpoint.cpp", names) if role.thrust_setpoint else "",
+        "thrust": fill("thrust_setpoint.cpp", names, wanted=_thrust_wanted(role)) if role.thrust_setpoint else "",
         "sound": "\n           && ".join(tests) or "true",
         "inputs": body if "rates." in body else f"    (void)rates;\n{body}",
     }
@@ -237,7 +237,19 @@ def _value(role: ModuleRole, name: str) -> str:
     no_thrust = "!(_thrust_setpoint > 0.f)" if role.thrust_setpoint else "!along_rail"
     if role.thrust_setpoint and _own_thrust(role):  # along the rail the set-point's topic is silent
         no_thrust = f"(!along_rail && {no_thrust})"
-    return INPUTS[name].value.format(x="_position.x" if "x" in role.inputs else "0.f", no_thrust=no_thrust)
+    return INPUTS[name].value.format(
+        x="_position.x" if "x" in role.inputs else "0.f",
+        no_thrust=no_thrust,
+        off_rail=" && !along_rail" if {"x_0", "vx_0"} & set(role.inputs) else "",  # there it has loops of its own
+    )
+
+
+def _thrust_wanted(role: ModuleRole) -> str:
+    """Return in C++ when a missing thrust set-point is a fault."""
+    if not _own_thrust(role):
+        return "_armed.armed"
+    off_rail = "!_mode.flag_control_velocity_enabled && !_mode.flag_control_position_enabled"
+    return f"_armed.armed\n                          && {off_rail}"
 
 
 def _own_thrust(role: ModuleRole) -> bool:

@@ -203,8 +203,8 @@ void TwodofPitch::read_topics()
     _mode_sub.update(&_mode);
     _rates_setpoint_sub.update(&_rates_setpoint);
     _thrust_setpoint = _mode.flag_control_attitude_enabled
-               ? setpoint(-_attitude_setpoint.thrust_body[2], _attitude_setpoint.timestamp, 0.f, false)
-               : setpoint(-_rates_setpoint.thrust_body[2], _rates_setpoint.timestamp, 0.f, false);
+               ? setpoint(-_attitude_setpoint.thrust_body[2], _attitude_setpoint.timestamp, 0.f, _armed.armed)
+               : setpoint(-_rates_setpoint.thrust_body[2], _rates_setpoint.timestamp, 0.f, _armed.armed);
 }
 
 bool TwodofPitch::measurements_are_sound() const
@@ -229,9 +229,8 @@ float TwodofPitch::setpoint(float value, hrt_abstime stamp, float neutral, bool 
 
 void TwodofPitch::read_inputs(const vehicle_angular_velocity_s &rates)
 {
-    const bool along_rail = _mode.flag_control_velocity_enabled || _mode.flag_control_position_enabled;
     _in.in_theta_0 = setpoint(pitch_of(_attitude_setpoint.q_d), _attitude_setpoint.timestamp, 0.f,
-                _armed.armed && _mode.flag_control_attitude_enabled && !along_rail);
+                _armed.armed && _mode.flag_control_attitude_enabled);
     _in.in_q_0 = setpoint(_rates_setpoint.pitch, _rates_setpoint.timestamp, 0.f,
                 _armed.armed && !_mode.flag_control_attitude_enabled);
     _in.in_theta = pitch_of(_attitude.q);
