@@ -13,8 +13,10 @@ from twodof.excitation import Multisine
 from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.identify import cut, fit
 from twodof.identify.identified_flight import IdentifiedFlight, identify_flight
 from twodof.identify.ready_made import FlownMachine, experiment_in, machine_of, structure_for, sufficiency, true_values
+from twodof.models import pitch_rate
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import model_parameters
 
@@ -146,6 +148,16 @@ def test_insufficient_data_are_reported(logs: dict[str, FlightLog]) -> None:
     )
     assert found.simple is None
     assert "impulse" in found.refusal
+
+
+@pytest.mark.parametrize(("length", "vague"), [(1.2, False), (0.5, True)])
+def test_correlated_unknowns_are_remarked_where_they_are_not_known(
+    logs: dict[str, FlightLog], length: float, vague: bool
+) -> None:
+    # 1.2 s show w_n to .2 %, also beside theta_0 with a correlation of .99; .5 s show it to 12 %, and xi to 60.
+    start = float(cut(logs["doublet"], "doublet").time[0])
+    found = fit(pitch_rate(lag=True), cut(logs["doublet"], "doublet", (start, start + length)))
+    assert any("hardly told apart" in remark for remark in found.remarks) is vague
 
 
 def test_the_velocity_shows_both_outputs(logs: dict[str, FlightLog]) -> None:

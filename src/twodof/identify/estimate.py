@@ -33,6 +33,9 @@ _FEW = 10
 _ALIKE = 0.98
 """Correlation from which on two unknowns are hardly told apart."""
 
+_SURE = 0.05
+"""A quantity that is known to this share of its value needs no remark on its correlations."""
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -358,6 +361,8 @@ def _on_unknowns(found: Estimate) -> Iterator[str]:
             touched = [group for group in groups if group & pair]
             groups = [group for group in groups if not group & pair] + [pair.union(*touched)]
     for group in groups:
+        if all(found.sigma(label) < _SURE * abs(found[label]) for label in group.difference(found.local)):
+            continue
         names = listed(label for label in found.labels if label in group)
         yield f"{names} are hardly told apart (correlations above {_ALIKE}): fix one or add an experiment"
 
