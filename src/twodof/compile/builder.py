@@ -60,7 +60,7 @@ def build(
 def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: bool) -> Target:
     match name:
         case "native":
-            return Native(compiler, optimise or "-O3", native_cpu)
+            return Native(compiler, optimise, native_cpu)
         case "wasm":
             return Wasm(compiler, optimise or "-O3")
         case "cortex-m7":

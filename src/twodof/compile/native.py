@@ -54,7 +54,7 @@ class Native:
     """Target of this computer: `compiler` "cc", "gcc", "clang", "zig" or a path; `cpu` uses all its instructions."""
 
     compiler: str | None = None
-    optimise: str = "-O3"
+    optimise: str | None = None
     cpu: bool = True
     flags: tuple[str, ...] = ()
     name = "native"
@@ -62,7 +62,7 @@ class Native:
     def compile(self, programs: Sequence[EmittedProgram]) -> list[NativeBackend]:
         """Compile the programs of one source into one library; raises CompileError, see `load`."""
         found = compilers.find_compiler(self.compiler)
-        library = load(programs[0].source, found, self.optimise, self.cpu, self.flags)
+        library = load(programs[0].source, found, self.optimise or programs[0].optimise, self.cpu, self.flags)
         return [NativeBackend(program, library) for program in programs]
 
 

@@ -12,6 +12,9 @@ from twodof.compile.c.functions import Mark
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import MemoryLayout
 
+LONG = 6000
+"""Lines of C from which on -O3 would take seconds, and soon minutes: its time grows with the square of the lines."""
+
 
 @dataclass(frozen=True)
 class EmittedProgram:
@@ -33,6 +36,11 @@ class EmittedProgram:
     def name(self) -> str:
         """Prefix of the program's names in C."""
         return self.flat.name
+
+    @property
+    def optimise(self) -> str:
+        """Option by which the compiler of this computer optimises the C."""
+        return "-O3" if len(self.marks) < LONG else "-O1"
 
     @cached_property
     def dtypes(self) -> dict[str, np.dtype[Any]]:

@@ -19,7 +19,6 @@ from twodof.blocks.library import Compare, Logic
 from twodof.compile import build
 from twodof.compile import native as target
 from twodof.compile.builder import emit_program
-from twodof.compile.c import pieces
 from twodof.compile.c.emitter import emit
 from twodof.compile.c.statements import constant
 from twodof.compile.program.lower import lower
@@ -85,19 +84,6 @@ def test_equal_diagrams_give_equal_c() -> None:
     """The order of objects in memory must not matter: a cache of compiled programs has the text as its key."""
     made = [library_cases(["delays"], 1, True)[0].diagram for _ in range(8)]
     assert len({emit_program(d, 0.01).source for d in made}) == 1
-
-
-@pytest.mark.long
-def test_pieces_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pieces, "LONGEST", 12)
-    monkeypatch.setattr(pieces, "LONGEST_SETUP", 6)
-    monkeypatch.setattr(pieces, "PIECE", 4)
-    cases = differential.cheap_cases(717, 8, 20)
-    cases += differential.random_cases([11_000_264, 11_000_204], 20)  # whose arrays are handed on
-    programs = differential.emitted(cases, "float64", "rk4")
-    assert " x = work->x;" in programs[0].source
-    expected = [differential.reference_run(c, "float64", "rk4") for c in cases]
-    assert not differential.differences(cases, expected, programs, differential.KINDS["gcc-O0"].target)
 
 
 SLOTS = [

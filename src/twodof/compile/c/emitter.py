@@ -19,7 +19,6 @@ from twodof.compile.c.functions import Function, Listing, Mark
 from twodof.compile.c.graph import ProgramGraph, in_doubles
 from twodof.compile.c.integration import Integration
 from twodof.compile.c.operators import C_TYPES, HELPERS
-from twodof.compile.c.pieces import APART, in_pieces
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import Assign, Call, CNames, Statement, Text, every
 from twodof.compile.c.step import StepEmitter
@@ -80,7 +79,6 @@ def emit(
         f'#include "{header}"\n\n' if header else "",
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
         GUARDS,
-        APART if any(e.apart for e in emitters) else "",
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
         *(f"{text}\n" for name, text in HELPERS[precision].items() if name in helpers),
         INSTRUCTIONS_THERE if any("td_instructions" in f.text for f in elementary) else "",
@@ -153,31 +151,26 @@ class _Emitter:
         self.prefix = p = program.name
         self.scope = Scope(program, layout, precision)
         self.listing = Listing()
-        self.apart = False
         remark = f" {comment(program.text)}" if program.text else ""
         self.listing.add(f"/* {p}: one step is {program.dt:.9g} s.{remark} */")
         if whole:
             CInterface(program, layout, not lean).list(self.listing)
-        self._list(self._defaults(), "default parameters", every_tick=False)
-        self._list(self._prepare(), "derived parameters", every_tick=False)
-        self._list(self._init(), "initial states", every_tick=False)
+        self._list(self._defaults(), "default parameters")
+        self._list(self._prepare(), "derived parameters")
+        self._list(self._init(), "initial states")
         self._list(self._step(), "one step")
         if not lean:
             self.listing.add(self._step_and_run(), Mark("run", "", "many steps"))
             self.listing.add(self._tables() + self._sizes())
 
-    def _list(self, function: Function, role: str, every_tick: bool = True) -> None:
+    def _list(self, function: Function, role: str) -> None:
         elements = sum(s.size or 0 for s in every(function.body) if isinstance(s, Assign))
-        struct, functions, handed = in_pieces(function, every_tick)
-        self.apart |= len(functions) > 1
-        copies = 4 + bool(struct)  # x, at, sum and slope of the integration; pieces hand x on
-        if elements + handed + copies * sum(m.width or 1 for m in self.layout.x.members) > MOST_ON_STACK:
+        elements += 4 * sum(m.width or 1 for m in self.layout.x.members)  # x, at, sum and slope of the integration
+        if elements > MOST_ON_STACK:
             what = f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack"
             remedy = "make them shorter, or keep them in states, which are not on the stack"
             raise DiagramError(what, self.prefix, remedy)
-        self.listing.add(struct, Mark("Work", "", "declaration"))
-        for each in functions:
-            self.listing.function(each, role)
+        self.listing.function(function, role)
 
     def _defaults(self) -> Function:
         body: list[Statement] = []

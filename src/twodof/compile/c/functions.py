@@ -15,7 +15,6 @@ COMMENTS = {
     "disabled states": "/* what is disabled keeps its continuous states */",
     "next tick": "/* the next tick */",
     "next states": "/* the next tick */",
-    "pieces": "/* what it does, in pieces */",
 }
 """The comments above statements of no single block, by their role."""
 

@@ -255,7 +255,7 @@ FOREIGN = """
 """
 KEYWORDS = frozenset((RESERVED + FOREIGN).split())
 # What the included headers and the emitted file itself define beside those: macros, types, helpers, a header's guard.
-DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline|td_unrolled|td_apart|\w+_INCLUDED")
+DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline|td_unrolled|\w+_INCLUDED")
 FUNCTIONS = HELPER_NAMES | {f"td_{name}{kind}" for name in ARGUMENTS for kind in ("", "_float32", "_float64")}
 
 

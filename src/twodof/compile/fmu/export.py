@@ -23,7 +23,7 @@ from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 
 VERSIONS = ("3.0", "2.0")
-FLAGS = (*compilers.FLAGS, "-O3", "-fPIC", "-shared", "-fvisibility=hidden")
+FLAGS = (*compilers.FLAGS, "-fPIC", "-shared", "-fvisibility=hidden")
 """Those of the native target without this processor's own instructions: the same bits, on any of its kind."""
 
 BINARIES: Mapping[tuple[str, str], tuple[str, str, str]] = MappingProxyType(
@@ -96,7 +96,7 @@ class Fmu:
                 self.emitted.flat, self.variables, self.version, self.token, file
             ),
             f"binaries/{newer if self.version == '3.0' else older}/{self.name}{ending}": compilers.compiled(
-                self.source, compiler, (*FLAGS, *compiler.flags), ending, Path.read_bytes
+                self.source, compiler, (*FLAGS, self.emitted.optimise, *compiler.flags), ending, Path.read_bytes
             ),
             f"sources/{file}": self.source.encode(),
             "resources/diagram.json": to_json(self.diagram).encode(),

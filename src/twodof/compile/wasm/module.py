@@ -23,7 +23,7 @@ from twodof.errors import CompileError
 
 FUNCTIONS = ("defaults", "prepare", "init", "step", "run", "tick")
 PAGE = 65536  # bytes
-STACK = 1 << 20  # bytes; of these 320 kB for the arrays of a step and its pieces
+STACK = 1 << 20  # bytes; of these 320 kB for the arrays of a step
 ROWS = 4096  # at most; ticks whose inputs and outputs stand in the memory at once
 ROW_BYTES = 1 << 18  # of all rows of one program, if one row is not larger
 LARGEST = 256 << 20  # bytes of memory that a module may have
