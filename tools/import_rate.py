@@ -2,11 +2,11 @@
 
 `python -m tools.import_rate REPOSITORY...` takes folders with models, one a repository, and looks for libraries in all
 folders of the repository, those that share more of the model's own path first. Names that no callback of a model gives
-are looked for in the repository's scripts, those of the model's folder first; what none gives is 1, and is counted. A
-model with the same bytes counts once, a library not at all. A part is missing where a library, a model or a block of
-another vendor is not in the repository; data are missing where no script, .mat file or dictionary of the repository
-assigns a name that the model takes. The rates without such models are shown apart; a name that a script assigns, and
-that we do not compute, is not missing.
+are looked for in the repository's scripts, those of the model's folder first; what none gives is 1, or a structure
+whose fields are 1, and is counted. A model with the same bytes counts once, a library not at all. A part is missing
+where a library, a model, a block of another vendor or the class of an enumeration is not in the repository. Data are
+missing where no script, .mat file or dictionary of the repository assigns a name that the model takes. The rates
+without such models are shown apart; a name that a script assigns, and that we do not compute, is not missing.
 `--why` counts the reasons of refusals, in models without missing parts, and how often one is a model's only one.
 """
 
@@ -27,14 +27,15 @@ import numpy as np
 
 from twodof.compile import build
 from twodof.errors import TwodofError
+from twodof.slx.blocks import RULES
 from twodof.slx.importer import import_system
-from twodof.slx.inspection import inspect
+from twodof.slx.inspection import OWN_LIBRARIES, inspect, library_file
 from twodof.slx.matlab.parser import assigned_names
 from twodof.slx.matlab.script import read_workspace
 from twodof.slx.matlab.values import Value
-from twodof.slx.model import CODED, read_model
+from twodof.slx.model import CODED, Model, read_model, source_file
 
-MISSING = re.compile(r"is not found|cannot be found")
+MISSING = re.compile(r"is not found|cannot be found|is an enumeration")
 STEPS = 1000
 PERIOD = 0.01
 """Where a model says no period [s]."""
@@ -76,10 +77,13 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
     missing = wanted - names.keys()
     found.invented = len(missing)
     found.absent = len(missing.difference(*map(_given, _files(tuple(folders), "m"))))
-    names |= {name: np.array([[1.0]]) for name in missing}
+    names |= dict.fromkeys(missing, _ONE)
     try:
-        imported = import_system(model, "", names, folders, otherwise=PERIOD)
-        found.chart |= any(line.kind in CODED for line in imported.report)
+        another = True
+        while another:
+            imported = import_system(model, "", names, folders, otherwise=PERIOD)
+            found.chart |= any(line.kind in CODED for line in imported.report)
+            another = _with_fields(names, missing, [line.why for line in imported.refused])
         if imported.diagram is None and not imported.refused:
             raise TwodofError("no block is refused, but the diagram is missing", str(path), "mend the importer")
         for line in imported.refused:
@@ -91,7 +95,44 @@ def tried(path: Path, folders: list[Path]) -> Tried | None:
         found.reasons[f"{type(reason).__name__}: {reason.what}"] = ""
     except Exception as reason:  # noqa: BLE001  a fault of the importer counts as a refusal, and is shown
         found.reasons[f"FAULT {type(reason).__name__}: {reason}"[:150]] = ""
+    if found.reasons:
+        found.reasons |= _missing_in_charts(model, folders)
     return found
+
+
+def _missing_in_charts(model: Model, folders: list[Path]) -> dict[str, str]:
+    """Return the libraries that are not found of subsystems in charts, which the importer refuses before it asks."""
+    charts = [(path, one.system) for path, one in model.blocks() if one.kind == "Chart" and one.system is not None]
+    links = [
+        (at, one)
+        for path, system in charts
+        for at, inner in system.walk(path)
+        for one in inner.blocks.values()
+        if one.type == "Reference" and one.kind not in RULES
+    ]
+    return {
+        f"{one.kind}: the library {source_file(one)} is not found": at
+        for at, one in links
+        if source_file(one) not in OWN_LIBRARIES and library_file(source_file(one), folders) is None
+    }
+
+
+_ONE = np.array([[1.0]])
+
+
+def _with_fields(names: dict[str, Value], invented: set[str], refusals: list[str]) -> bool:
+    """Give the `invented` names the fields that refusals miss in them, such as motor.K; return whether any was new."""
+    new = False
+    for path in {path for why in refusals if "there is no field" in why for path in re.findall(r"\w+(?:\.\w+)+", why)}:
+        *outer, last = path.split(".")
+        if outer[0] in invented:
+            inner = names
+            for part in outer:
+                kept = inner.get(part)
+                inner[part] = inner = kept if isinstance(kept, dict) else {}
+            new |= last not in inner
+            inner.setdefault(last, _ONE)
+    return new
 
 
 MOST_TURNS = 2

@@ -611,6 +611,7 @@ def test_a_circle_of_junctions_turns_as_often_as_its_condition_holds(tmp_path: P
             for kind in ("isActionSubsystem", "isComponent")
         ),
         (way(1, None, 2) + state(2, "A", data("log", "LOCAL")), "", "the name log stands for two things"),
+        (way(1, None, 2) + state(2, "A\nentry: log = Gear.Park;"), "", "name the folder of its class with --path"),
         (way(1, None, 2) + state(2, "A") + data("ms", "LOCAL", "uint64"), "", "ms of type uint64 is not translated"),
         (way(1, None, 2) + state(2, "A") + way(3, 2, 2, "[u > 0]") + way(4, 2, 2), "", "the order of the transitions"),
         (

@@ -474,16 +474,18 @@ def test_a_start_time_is_said_not_to_be_taken(tmp_path: Path, start: str, notes:
 
 
 def test_units_are_converted_between_what_is_said_beside(tmp_path: Path) -> None:
-    """1 mph is 0.44704 m/s exactly (NIST Special Publication 811, appendix B.8)."""
+    """1 mph is .44704 m/s exactly, and a mile in an hour is the same (NIST Special Publication 811, appendix B.8)."""
     conversion: Blocks = [
         ("Inport", "u", {**REAL, "Unit": "m/s"}),
         ("UnitConversion", "convert", {}),
-        ("SignalSpecification", "say", {"Unit": "mph"}),
+        ("SignalSpecification", "say", {}),
         ("Outport", "y", {}),
     ]
     lines: Lines = [("u", "convert"), ("convert", "say"), ("say", "y")]
     u = DRAWN[0]
-    assert np.array_equal(flown(imported(tmp_path, conversion, lines), u=u)["y"], u * (1.0 / 0.44704))
+    for unit, size in (("mph", 0.44704), ("mile/hr", 0.44704), ("km/min", 1000.0 / 60.0)):
+        conversion[2] = ("SignalSpecification", "say", {"Unit": unit})
+        assert np.array_equal(flown(imported(tmp_path, conversion, lines), u=u)["y"], u * (1.0 / size))
     for unit, why in (("inherit", "right beside"), ("kg", "cannot be converted"), ("furlong", "furlong is not")):
         conversion[2] = ("SignalSpecification", "say", {"Unit": unit})
         (line,) = [one for one in imported(tmp_path, conversion, lines).report if one.status == "refused"]

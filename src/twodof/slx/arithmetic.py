@@ -316,12 +316,21 @@ def _field(c: Asked) -> Made:
     return Made(made.item, [dataclasses.replace(made.outputs[0], bits=total)])
 
 
+_LENGTHS = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "mi": 1609.344, "mile": 1609.344}
+_ANGLES = {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
+_TIMES = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0, "hr": 3600.0}
+
+
+def _speeds(sizes: Mapping[str, float]) -> dict[str, float]:
+    return {f"{name}/{time}": size / of for name, size in sizes.items() for time, of in _TIMES.items()}
+
+
 _SIZES: Mapping[str, Mapping[str, float]] = {
-    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "mi": 1609.344},
-    "m/s": {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "ft/s": 0.3048},
-    "rad": {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
-    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    "m": _LENGTHS,
+    "m/s": {**_speeds(_LENGTHS), "mph": 0.44704},
+    "rad": _ANGLES,
+    "rad/s": {**_speeds(_ANGLES), "rpm": math.pi / 30.0},
+    "s": _TIMES,
     "kg": {"kg": 1.0, "g": 1e-3, "lbm": 0.45359237},
     "N": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5},

@@ -204,6 +204,9 @@ class Evaluation:
         if signals:
             self.count_signals(_operations(name, arguments))
         if name not in (*FUNCTIONS, *SIGNAL_FUNCTIONS):
+            if "." in name and not bracket:
+                remedy = f"if {name.partition('.')[0]} is an enumeration, name the folder of its class with --path"
+                raise NotComputed(f"{name} has no value: {remedy}")
             raise NotComputed(f"{name} is not computed" if bracket else f"{name} has no value")
         try:
             with np.errstate(all="ignore"):
