@@ -170,7 +170,8 @@ def cascade_loops(
             say(f"margins of the {name} loop", k / len(wanted))
             found |= cascade_margins(stock, flown, values, [name])
     names = ", ".join(d.name for d in flown) or f"the stock cascade ({gains})"
-    lines = [f"{names} on {rig}", *margin_lines(found)]
+    others = f", with the other loops' stock controllers ({gains})" if flown else ""
+    lines = [f"{names} on {rig}{others}", *margin_lines(found)]
     if plot is not None:
         _draw(found, plot, f"{names} on {rig}", force)
         lines.append(f"written: {plot}")
