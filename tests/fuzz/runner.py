@@ -21,7 +21,7 @@ from pathlib import Path
 
 from tests.fuzz.target import Target
 
-NAMES = ("framing", "mcap", "mat", "ulog", "diagram", "ftp")
+NAMES = ("framing", "logs", "diagram", "ftp")
 GUIDING = ("twodof.flightlog", "twodof.link", "twodof.blocks", "twodof.fcu.mavlink")
 CORPUS = Path(__file__).with_name("corpus")
 MEMORY_MIB = 2048
