@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from operator import attrgetter
 
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
 from twodof.blocks.expressions.graph import ordered, unchanging
@@ -28,8 +27,6 @@ from twodof.compile.c.statements import (
 from twodof.compile.program.flat_program import Node
 
 WIDEST_LINE = 150  # an expression that would be longer becomes two
-
-THEN, OTHERWISE = attrgetter("then"), attrgetter("otherwise")
 
 
 def _bracketed(item: Text, loosest: int) -> str:
@@ -166,18 +163,11 @@ class Renderer:
                 self._hints.setdefault(id(self._resolve(item.args[0])), item)
                 if item.width is None and id(item) not in self.placed:
                     optional.add(id(item))
-        found = Plan(order, self._args, roots, hand, optional, bool(self.bound)).steps()
-        self._count(batch, found)
-        self._steps(batch, found)
+        plan = Plan(order, self._args, roots, hand, optional)
+        for key, more in plan.uses.items():
+            uses[key] += more
+        self._steps(batch, plan.steps)
         return [batch.texts[id(r)] for r in roots]
-
-    def _count(self, batch: Batch, found: Iterable[Step]) -> None:
-        """Count a condition once for all values that one branch decides."""
-        for step in found:
-            if isinstance(step, Branch):
-                batch.uses[id(step.condition)] += 1 - sum(1 for item in step.chosen if item.op != "signal")
-                self._count(batch, step.then)
-                self._count(batch, step.otherwise)
 
     def _steps(self, batch: Batch, found: Iterable[Step]) -> None:
         for step in found:
@@ -254,33 +244,26 @@ class Renderer:
 
     def _branch(self, batch: Batch, branch: Branch) -> None:
         """Add an `if` that gives variables their values."""
-        decided = list(zip(branch.chosen, branch.choices, strict=True))
-        for choice in branch.choices:
-            for side in (choice.then, choice.otherwise):
-                if side.op == "const" and id(side) not in batch.texts:
-                    batch.texts[id(side)] = constant(side.data, side.kind, self.precision)
         outer = self.owner
-        self.owner = self.block(branch.chosen[0]) or outer
-        names = [self._new_name(item) for item in branch.chosen]
-        for (item, _), name in zip(decided, names, strict=True):
+        (first, choice), *_ = branch.choices
+        self.owner = self.block(first) or outer
+        names = [self._new_name(item) for item, _ in branch.choices]
+        for name, (item, _) in zip(names, branch.choices, strict=True):
             self.declare(name, item.kind)
-        test = batch.texts[id(branch.condition)]
-        sides = [
-            self._side(batch, found, [(name, side(d)) for name, (_, d) in zip(names, decided, strict=True)])
-            for found, side in ((branch.then, THEN), (branch.otherwise, OTHERWISE))
-        ]
+        sides = []
+        for steps, holds in ((branch.then, True), (branch.otherwise, False)):
+            with self.within() as body:
+                self._steps(batch, steps)
+                for name, (_, each) in zip(names, branch.choices, strict=True):
+                    side = each.then if holds else each.otherwise
+                    known = batch.texts.get(id(side))
+                    self.put(name, known or constant(side.data, side.kind, self.precision))
+            sides.append(body)
+        test = batch.texts[id(choice.condition)]
         self.out.append(IfStatement(test.text, *sides, owner=self.owner, reads=test.reads))
         self.owner = outer
-        for (item, _), name in zip(decided, names, strict=True):
+        for name, (item, _) in zip(names, branch.choices, strict=True):
             batch.texts[id(item)] = self.know(item, Text.of(name))
-
-    def _side(self, batch: Batch, found: Sequence[Step], rows: Sequence[tuple[str, Expr]]) -> list[Statement]:
-        """Return one side of a branch, which gives each variable its value."""
-        with self.within() as body:
-            self._steps(batch, found)
-            for name, side in rows:
-                self.put(name, batch.texts[id(side)])
-        return body
 
     def _counts(self, item: Expr) -> bool:
         """Return True if a node is an index made of loop counters: it is written where it is used."""
