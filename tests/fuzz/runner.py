@@ -93,7 +93,7 @@ def _guided(name: str, runs: int, seconds: float, seed: int, findings: Path) -> 
 
     # Only what is fuzzed is instrumented: the rest of the package would only slow it down.
     importlib.import_module("tests.fuzz.target")
-    with atheris.instrument_imports(include=["twodof.flightlog", "twodof.link", "twodof.blocks", "twodof.fcu.mavlink"]):
+    with atheris.instrument_imports(include=list(GUIDING)):
         target = load(name)
     found = Path(tempfile.mkdtemp(prefix="twodof-corpus-"))
     for number, data in enumerate([*target.seeds(), *(path.read_bytes() for path in kept(name))]):
