@@ -35,6 +35,7 @@ def test_a_drone_is_stopped_from_the_list(lab_server: LabServer, open_page: Open
     lab_server.tell("disarm")
     flown = lab_server.state["time"]
     again.click()
+    expect(page.get_by_text(f"Reset drone {lab_server.drone}: at rest in the middle of the rail")).to_be_visible()
     for _ in patiently():
         if lab_server.state["time"] < flown:
             break

@@ -127,7 +127,7 @@ def test_a_stop_by_key_keeps_the_focus(lab_server: LabServer, open_page: OpenPag
         page.keyboard.press("Enter")  # one more in alarm releases nothing
         expect(page.get_by_text("the motors stay off until the stop is released")).to_be_visible()
         assert lab_server.until(killed=True)["armed"] is False
-        expect(page.get_by_text("Stopped from a page")).to_be_visible()
+        expect(page.get_by_text("Stopped through this server")).to_be_visible()
         release.press("Enter")
         expect(page.get_by_role("button", name="Arm", exact=True)).to_be_focused()
         lab_server.until(killed=False)

@@ -72,9 +72,11 @@ def test_a_stop_that_a_silent_server_does_not_hear_is_named(lab_server: LabServe
         page.keyboard.press("F8")
         expect(page.get_by_text(f"The stop has not reached drone {lab_server.drone}.")).to_be_visible(timeout=2000)
         expect(page.get_by_text("motors off")).to_have_count(0)
+        expect(page.get_by_text("You command")).to_have_count(0)
     expect(page.get_by_text("the motors stay off until the stop is released")).to_be_visible()
     lab_server.until(killed=True)
-    expect(page.get_by_text("Stopped from a page")).to_be_visible()  # also where the server lost the command meanwhile
+    # Also where the server lost the command meanwhile.
+    expect(page.get_by_text("Stopped through this server")).to_be_visible()
 
 
 @pytest.mark.long

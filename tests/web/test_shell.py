@@ -59,13 +59,18 @@ def test_a_link_of_an_earlier_start_is_named(built_page: Path, tmp_path: Path, o
     """As `up --token` serves it: without a token, which the page forgets when it is refused, nobody comes in."""
     now = "a-token-of-the-present-start-1234"
     with lab_served(tmp_path, token=now, command_token=now, token_always=True) as server:
-        page = open_page(
-            f"http://{server.host}/?token=a-token-of-an-earlier-start-12345", expects=("401", "WebSocket", "ERR_")
-        )
-        expect(page.get_by_text("This link is of an earlier start of the server.")).to_be_visible()
+        refused = ("401", "WebSocket", "ERR_")
+        words = "This link is of an earlier start of the server, or has no token."
+        for name in ("logs", "fly"):
+            link = f"http://{server.host}/?token=a-token-of-an-earlier-start-12345#/{name}"
+            page = open_page(link, expects=refused)
+            expect(page.get_by_text(words)).to_be_visible()
+            expect(page.locator("main")).to_have_text("")  # it is said once
+            expect(page.get_by_label("Messages")).to_have_text("")
+            expect(page.get_by_text("No server")).to_have_count(0)
         picture(page, "earlier-start")
         page.goto(f"http://{server.host}/?token={now}")
-        expect(page.get_by_text("This link is of an earlier start of the server.")).to_have_count(0)
+        expect(page.get_by_text(words)).to_have_count(0)
         expect(page.get_by_role("heading", name="No drone yet")).to_be_visible()
 
 

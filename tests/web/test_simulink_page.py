@@ -104,6 +104,12 @@ def test_unsaved_changes_are_not_lost_by_an_import(server: Served, open_page: Op
     page.get_by_role("button", name="Import the whole model").click()
     page.get_by_role("button", name="Stay here").click()
     expect(page.locator(".svelte-flow__node[data-id='p:P_gain']")).to_have_count(0)
+    page.get_by_role("button", name="Import the whole model").click()  # it is still there
+    page.get_by_role("button", name="Save pid_attitude first").click()
+    page.get_by_role("button", name="Save", exact=True).last.click()
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    expect(page.locator(".svelte-flow__node[data-id='p:P_gain']")).to_be_visible()
+    assert any("pid_attitude" in file.name for file in server.folder.rglob("*.json"))
 
 
 def test_a_refused_block_names_itself_and_other_files_are_refused(

@@ -6,12 +6,13 @@ import { armedWord, leaseWord } from "../src/state/words";
 
 describe("who commands", () => {
   const state = (part: Partial<DroneState>) =>
-    leaseWord({ ours_leases: false, lease_holder: null, ...part } as DroneState).text;
+    leaseWord({ link: "heard", ours_leases: false, lease_holder: null, ...part } as DroneState).text;
   it("is you, none, an experiment that this server began, or another client by its number", () => {
     expect(state({ ours_leases: true })).toBe("You command");
     expect(state({})).toBe("Not commanded");
     expect(state({ lease_holder: [242, 190], experiment: true })).toBe("Commanded by an experiment");
     expect(state({ lease_holder: [242, 190], experiment: false })).toBe("Commanded by client 242");
+    expect(state({ ours_leases: true, link: "lost" })).toBe("Command unknown");
   });
 });
 

@@ -60,7 +60,8 @@ def up(
     precision: options.Precision = "float64",
     safety_switch: options.SafetySwitch = True,
     state: Annotated[
-        Path | None, option("Folder for the drones' folders drone-INDEX; default: the user's data folder.", "FOLDER")
+        Path | None,
+        option("Folder for the drones' folders, drone-0 for drone 1; default: the user's data folder.", "FOLDER"),
     ] = None,
     fresh: options.Fresh = False,
     key: options.KeyFile = None,

@@ -100,12 +100,10 @@ function ended(timeout: number, end: AbortSignal | undefined): AbortSignal {
   return end === undefined ? late : AbortSignal.any([late, end]);
 }
 
-export async function get<T>(path: string): Promise<T> {
-  return (await (await request("GET", path)).json()) as T;
-}
-
-export async function send<T>(method: "POST" | "PUT" | "PATCH" | "DELETE", path: string, body?: unknown): Promise<T> {
-  const response = await request(method, path, body);
+export const get = <T>(path: string) => send<T>("GET", path);
+/** Send a request as `request` does, and return the JSON of the answer. */
+export async function send<T>(...asked: Parameters<typeof request>): Promise<T> {
+  const response = await request(...asked);
   return (response.status === 204 ? undefined : await response.json()) as T;
 }
 
@@ -130,13 +128,8 @@ export function upload(path: string, content: Blob, sent: (share: number) => voi
   });
 }
 
-/** Role of this client, and the path of the link that only watches ("" if there is none). */
-export interface LabSession {
-  role: "command" | "watch";
-  watch_link: string;
-}
-
-export const labSession = () => get<LabSession>("session");
+/** Return the role of this client, and the path of the link that only watches ("" if there is none). */
+export const labSession = () => get<{ role: "command" | "watch"; watch_link: string }>("session");
 
 export const viewersLink = (watchLink: string, here: URL): string => new URL(watchLink, here).href + here.hash;
 

@@ -58,11 +58,13 @@ export async function catalogue(): Promise<Catalogue> {
   return found;
 }
 
-export async function shapes(blocks: readonly string[]): Promise<Answer[]> {
-  // As texts put together: a number must arrive as it is written.
-  const body = new Blob([`{"blocks": [${blocks.join(", ")}]}`], { type: "application/json" });
-  return (await (await request("POST", "diagrams/shapes", body)).json()) as Answer[];
-}
+/** Ask for the ports of blocks; their texts are put together, as a number must arrive as it is written. */
+export const shapes = (blocks: readonly string[]) =>
+  send<Answer[]>(
+    "POST",
+    "diagrams/shapes",
+    new Blob([`{"blocks": [${blocks.join(", ")}]}`], { type: "application/json" }),
+  );
 
 const at = (name: string) => `diagrams/files/${encodeURIComponent(name)}`;
 const textOf = async (answer: Promise<{ text: string }>) => (await answer).text;
@@ -94,9 +96,8 @@ export interface PortableLoop {
   ticks: number;
 }
 
-export async function compileLoop(text: string, rig: string, signal: AbortSignal): Promise<PortableLoop> {
-  return (await (await request("POST", "diagrams/compile", { text, rig }, 40, signal)).json()) as PortableLoop;
-}
+export const compileLoop = (text: string, rig: string, signal: AbortSignal) =>
+  send<PortableLoop>("POST", "diagrams/compile", { text, rig }, 40, signal);
 
 /** Margins of one loop, SI; null if unlimited. The gain margin is a factor above 1. */
 export interface LoopMargins {
@@ -176,11 +177,10 @@ export interface SimulinkSystem {
 }
 
 /** Read a system of a model, the first of `files`; the others are its libraries and workspace. */
-export async function simulink(files: readonly File[], system: string, end: AbortSignal): Promise<SimulinkSystem> {
+export function simulink(files: readonly File[], system: string, end: AbortSignal): Promise<SimulinkSystem> {
   const query = new URLSearchParams({ system });
   for (const { name, size } of files) [query.append("name", name), query.append("size", String(size))];
-  const path = `diagrams/simulink?${query}`;
-  return (await (await request("POST", path, new Blob([...files]), 60, end)).json()) as SimulinkSystem;
+  return send("POST", `diagrams/simulink?${query}`, new Blob([...files]), 60, end);
 }
 
 export const startFlash = (text: string, drone: number, rehearsal: string, force: boolean) =>

@@ -1,4 +1,4 @@
-import { get, request } from "./client";
+import { get, send } from "./client";
 import type { Excitation, Loop } from "./drones";
 
 export interface Preset {
@@ -49,6 +49,5 @@ export interface PreviewRequest {
 
 export const listPresets = () => get<Preset[]>("excitations");
 /** A prediction takes up to 30 s on a slow computer, behind others that wait. */
-export async function previewExcitation(asked: PreviewRequest): Promise<ExcitationPreview> {
-  return (await (await request("POST", "excitations/preview", asked, 60)).json()) as ExcitationPreview;
-}
+export const previewExcitation = (asked: PreviewRequest) =>
+  send<ExcitationPreview>("POST", "excitations/preview", asked, 60);

@@ -2,20 +2,13 @@ import { get, send } from "./client";
 import type { Job } from "./jobs";
 import type { Interval } from "./tuning";
 
-export interface ModelValue {
-  name: string;
-  value: number;
-  sigma: number | null;
-  unit: string;
-}
-
 /** Saved model. Tuning and design need `pitch`; `why` says what is missing. */
 export interface ModelRow {
   name: string;
   /** Unix time [s]. */
   kept: number;
   experiment?: string;
-  values: ModelValue[];
+  values: { name: string; value: number; sigma: number | null; unit: string }[];
   pitch: boolean;
   why: string;
   informative?: { enough: boolean; trusted: boolean; text: string } | null;

@@ -105,14 +105,8 @@ export const guardOf = (drone: number) =>
 export const chooseGuard = (drone: number, model: string | null) =>
   send<{ model: string | null }>("PUT", `tuning/${drone}/model`, { model });
 
-export async function previewTuning(
-  drone: number,
-  changes: Record<string, number>,
-  goal: number,
-): Promise<Preview | { why: string }> {
-  const answer = await request("POST", `tuning/${drone}/preview`, { changes, goal }, 90);
-  return (await answer.json()) as Preview | { why: string };
-}
+export const previewTuning = (drone: number, changes: Record<string, number>, goal: number) =>
+  send<Preview | { why: string }>("POST", `tuning/${drone}/preview`, { changes, goal }, 90);
 
 /** Predict the step alone, fast enough to follow a slider. */
 export const predictStep = (drone: number, changes: Record<string, number>, goal: number) =>
@@ -136,6 +130,4 @@ export async function parameterFile(drone: number, snapshot = ""): Promise<Blob>
   return (await request("GET", `${at(drone)}/${place}`)).blob();
 }
 
-export async function compareFile(drone: number, file: Blob): Promise<Comparison> {
-  return (await (await request("POST", `${at(drone)}/file`, file)).json()) as Comparison;
-}
+export const compareFile = (drone: number, file: Blob) => send<Comparison>("POST", `${at(drone)}/file`, file);

@@ -32,6 +32,7 @@ function leave(id: number): void {
 
 export function toastError(failure: unknown): number {
   if (!(failure instanceof ApiError)) return toast(String(failure), "bad");
+  if (failure.status === 401) return 0; // the head of the page says it
   return toast(failure.what + (failure.where && ` (${failure.where})`), "bad", failure.remedy);
 }
 

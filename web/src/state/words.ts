@@ -44,7 +44,8 @@ export function failsafeWord(state: DroneState): Word {
   return { kind: state.failsafe === "off" ? "bad" : "warn", text: `Failsafe: ${state.failsafe}` };
 }
 
-export function leaseWord(state: DroneState, watches = false): Word {
+export function leaseWord(state: DroneState, watches = false, heard = state.link === "heard"): Word {
+  if (!heard) return { kind: "plain", text: "Command unknown" };
   if (state.ours_leases) return { kind: "good", text: watches ? "Commanded from a page" : "You command" };
   if (state.lease_holder === null) return { kind: "plain", text: "Not commanded" };
   if (state.experiment) return { kind: "good", text: "Commanded by an experiment" };
