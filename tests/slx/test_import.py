@@ -342,19 +342,38 @@ def test_a_name_with_space_around_it_has_its_code(tmp_path: Path) -> None:
     code = "function y = f(u)\ny = 5 * u;"
     blocks = [
         ("Inport", "u", {"OutDataTypeStr": "double"}),
-        ("SubSystem", "plant", {}, ([
+        ("SubSystem", "plant ", {}, ([
             ("Inport", "u", {}),
             ("SubSystem", "  rises ", {"SFBlockType": "MATLAB Function", "Ports": "[1, 1]"}),
             ("Outport", "y", {}),
         ], [("u", "  rises "), ("  rises ", "y")])),
         ("Outport", "y", {}),
     ]  # fmt: skip
-    files = model(blocks, [("u", "plant"), ("plant", "y")])
+    files = model(blocks, [("u", "plant "), ("plant ", "y")])
     state = f'<state SSID="1"><P Name="labelString">f</P><eml><P Name="script">{code}</P></eml></state>'
-    chart = f'<chart id="9"><P Name="name">plant/  rises </P><Children>{state}</Children></chart>'
+    chart = f'<chart id="9"><P Name="name">plant /  rises </P><Children>{state}</Children></chart>'
     files["simulink/stateflow/chart_9.xml"] = chart
-    found = flown(import_system(read_model(slx(files, tmp_path / "m.slx")), dt=DT), {"u": DRAWN[0]})
-    assert np.array_equal(found["y"], 5 * DRAWN[0])
+    read = read_model(slx(files, tmp_path / "m.slx"))
+    for asked in ("", "plant", "plant "):  # a space at the end may be left out
+        assert np.array_equal(flown(import_system(read, asked, dt=DT), {"u": DRAWN[0]})["y"], 5 * DRAWN[0])
+
+
+def test_a_block_with_the_asked_name_comes_before_one_with_a_space(tmp_path: Path) -> None:
+    blocks = [("SubSystem", name, {}, ([("Gain", gain, {})], [])) for name, gain in (("a", "k"), ("a ", "l"))]
+    read = read_model(slx(model(blocks, []), tmp_path / "m.slx"))
+    assert [one.name for name in ("a", "a ") for one in read.system(name).blocks.values()] == ["k", "l"]
+    with pytest.raises(DiagramError, match="its first ones are: 'a', 'a '"):
+        read.system(" a")
+
+
+def test_the_report_tells_the_values_of_a_librarys_mask(tmp_path: Path) -> None:
+    inside = ([("Inport", "u", {}), ("Gain", "P", {"Gain": "Kp"}), ("Outport", "y", {})], [("u", "P"), ("P", "y")])
+    text = model([("SubSystem", "PID", {}, inside)], [])["simulink/blockdiagram.xml"]
+    mask = '<Mask><MaskParameter Name="Kp" Type="edit"><Value>0</Value></MaskParameter></Mask>'
+    text = text.replace('Name="PID" SID="1">', f'Name="PID" SID="1">{mask}')
+    files = {"simulink/blockdiagram.xml": text.replace("<Model>", "<Library>").replace("</Model>", "</Library>")}
+    found = import_system(read_model(slx(files, tmp_path / "l.slx")), "PID", dt=DT)
+    assert found.notes == ["PID: has the values of its mask in the library: Kp = 0"]
 
 
 def test_a_matlab_function_of_assignments_is_translated(tmp_path: Path) -> None:

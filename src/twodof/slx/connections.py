@@ -20,7 +20,7 @@ from twodof.slx.conditions import CONTROL_PORTS, ITERATED, Activation
 from twodof.slx.matlab.function_block import MatlabFunction
 from twodof.slx.matlab.program import IN_BASE, evaluate
 from twodof.slx.matlab.values import NotComputed, Value, number
-from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, one_spaced, port_number
+from twodof.slx.model import CODED, Model, Pin, SimulinkBlock, below, collapsed, port_number
 from twodof.slx.network import Iteration
 from twodof.slx.sheet import Sheet
 from twodof.slx.translation import Made, NotTranslated, Signal
@@ -111,7 +111,7 @@ class Connections:
     """The sheets of a model by path, their blocks by path and identifier, and what was found of them so far."""
 
     def __init__(self, model: Model, path: str) -> None:
-        self.model, self.path = model, one_spaced(path).strip("/")
+        self.model, self.path = model, model.place(path)
         self.notes = list[str]()
         self.iterated = dict[str, Iteration]()
         """How systems at these paths are iterated."""

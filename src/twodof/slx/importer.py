@@ -203,6 +203,9 @@ class _Import(Wiring):
                 if kind == "promote":  # of a choice
                     inner[name] = said
         run(block.mask.initialization, inner, self.folders)
+        own = ", ".join(f"{name} = {text}" for name, text in block.mask.computed.items() if name not in given)
+        if own and self.model.kind == "library":
+            self.notes.append(f"{collapsed(block.name)}: has the values of its mask in the library: {own}")
         return {**names, **inner}
 
     def _collect(self, path: str, system: System, names: dict[str, Value], owner: Key | None, depth: int = 0) -> None:

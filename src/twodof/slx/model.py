@@ -180,19 +180,27 @@ class Model:
             yield from (*block.values.values(), *block.instance.values())
         yield from (one.text for one in self.charts)
 
-    def system(self, path: str) -> System:
-        """Return the system at a path; "" is the top. Raises DiagramError if there is none."""
+    def place(self, path: str) -> str:
+        """Return a system's path as the file has it, where `path` may leave out space around names; "" is the top.
+
+        Raises DiagramError if there is no such system.
+        """
         wanted = one_spaced(path).strip("/")
-        found = dict(self.root.walk())
-        if wanted not in found:
-            for at, block in self.blocks():
-                source = block.values.get("ReferencedSubsystem") or one_spaced(block.values.get("SourceBlock", ""))
-                if source and f"{wanted}/".startswith(f"{at}/"):
-                    what = f"has no subsystem {path}: {at} is a link to {source}"
-                    raise DiagramError(what, self.name, "give that file, and the subsystem's path in it")
-            known = ", ".join(list(found)[1:9]) or "none"
-            raise DiagramError(f"has no subsystem {path}", self.name, f"its first ones are: {known}")
-        return found[wanted]
+        found = [at for at, _ in self.root.walk()]
+        alike = [at for at in found if _trimmed(at) == _trimmed(wanted)]
+        if wanted in found or len(alike) == 1:
+            return wanted if wanted in found else alike[0]
+        for at, block in self.blocks():
+            source = block.values.get("ReferencedSubsystem") or one_spaced(block.values.get("SourceBlock", ""))
+            if source and f"{wanted}/".startswith(f"{at}/"):
+                what = f"has no subsystem {path}: {at} is a link to {source}"
+                raise DiagramError(what, self.name, "give that file, and the subsystem's path in it")
+        known = ", ".join(map(repr, alike)) or ", ".join(found[1:9]) or "none"
+        raise DiagramError(f"has no subsystem {path}", self.name, f"its first ones are: {known}")
+
+    def system(self, path: str) -> System:
+        """Return the system at a path, as `place` reads it."""
+        return dict(self.root.walk())[self.place(path)]
 
 
 def port_number(block: SimulinkBlock) -> int:
@@ -223,6 +231,10 @@ def one_spaced(path: str) -> str:
 def split_path(path: str) -> list[str]:
     """Return the names in a path, in which a slash of a name is doubled."""
     return re.split(r"(?<!/)/(?!/)", path)
+
+
+def _trimmed(path: str) -> list[str]:
+    return [name.strip() for name in split_path(path)]
 
 
 def below(path: str, block: SimulinkBlock) -> str:

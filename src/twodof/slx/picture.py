@@ -67,7 +67,7 @@ def sheet_name(model: Model, path: str) -> str:
 
 def sheet_svg(model: Model, path: str = "") -> str:
     """Return the picture of the system at `path`; the same model gives the same bytes. Raises DiagramError if none."""
-    sheet = _Sheet(model, model.system(path), path)
+    sheet = _Sheet(model, model.system(path), model.place(path))
     return "\n".join(sheet.document())
 
 
