@@ -15,8 +15,7 @@ from twodof.blocks.expressions.expr import LOOPS, Expr, node
 from twodof.blocks.expressions.graph import CALL
 from twodof.blocks.expressions.numbers import FLOATS
 
-WORTH = 10  # operations from which on a branch costs less than computing what may not be read
-WORTH_OF_FLAG = 4  # where the processor guesses right: a mode or a flag seldom changes, two reals are seldom the same
+WORTH = 4  # operations from which on a branch costs less than computing what may not be read
 SLOW = {"div": 4, "sqrt": 4, "call": CALL, **dict.fromkeys(LOOPS, CALL)}  # cost in simple operations
 DEEPEST = 24  # branches within one another
 TRUE, FALSE = (node("const", "bool", (), value) for value in (True, False))
@@ -106,15 +105,8 @@ class Plan:
         self.order = [item for item in order if id(item) not in hand]
         self.args = {id(item): args(item) for item in self.order}
         self.rank = {id(item): i for i, item in enumerate(self.order)}
-        self.decisions: dict[int, Choice] = {}
-        self.flags: dict[int, bool] = {}  # True if a node depends on no real number
-        for item in self.order:
-            below = self.args[id(item)]
-            found = decision(item, below) if below else None
-            if found is not None:
-                self.decisions[id(item)] = found
-            flags = (self.flags.get(id(a), a.kind not in FLOATS) for a in below)
-            self.flags[id(item)] = item.kind not in FLOATS and item.width is None and all(flags)
+        found = ((id(item), decision(item, self.args[id(item)])) for item in self.order)
+        self.decisions: dict[int, Choice] = {key: choice for key, choice in found if choice is not None}
         self.always = [id(item) for item in always]
         self._kept: list[Expr] = []
         self.apart: set[int] = set()  # conditions whose choices do not share branches
@@ -202,7 +194,7 @@ class Plan:
         for place, cost in self._spent().items():
             saved[id(place.condition)] += cost
         for key, choice in list(self.decisions.items()):
-            if saved[id(choice.condition)] < (WORTH_OF_FLAG if self._calm(choice.condition) else WORTH):
+            if saved[id(choice.condition)] < WORTH:
                 del self.decisions[key]
 
     def _mended(self) -> bool:
@@ -234,7 +226,7 @@ class Plan:
                     done.add(key)
                     self.levels.setdefault(self.place[id(first)], []).append(units[key])
                     sides = self.sides.get(id(first), ())
-                    if sides and len(units[key]) == 1 and sum(spent[side] for side in sides) < WORTH_OF_FLAG:
+                    if sides and len(units[key]) == 1 and sum(spent[side] for side in sides) < WORTH:
                         del self.decisions[id(first)]
                 elif self._unit(needed) in path:
                     circle = [*path][[*path].index(self._unit(needed)) :]
@@ -243,12 +235,6 @@ class Plan:
                 else:
                     path[self._unit(needed)] = needed, iter(needs.get(self._unit(needed), []))
         return (len(self.apart), len(self.decisions)) != before
-
-    def _calm(self, condition: Expr) -> bool:
-        """Return True if a condition is a mode or a flag, or compares reals for equality: it seldom changes."""
-        if condition.op == "not":
-            return self._calm(condition.args[0])
-        return condition.op in ("eq", "ne") or self.flags.get(id(condition), True)
 
     def _level(self, place: _Place) -> list[Step]:
         """Return the steps that compute the nodes of a place."""
