@@ -65,6 +65,8 @@ def on_board(lab: ServedLab, name: str) -> float:
 def test_edits_are_sent_together_and_undone(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab))
     expect(page.get_by_text("0 to 0.12 s/rad, default 0.0854")).to_be_visible()
+    listed = page.get_by_role("region", name="The parameters")
+    assert listed.evaluate("one => one.scrollWidth <= one.clientWidth"), "the fields are cut"
     edit(page, "RATE_KP", "0.07")
     field(page, "ATT_KP").fill("9")  # what is typed counts: the first press of the button sends it
     bar = page.get_by_label("Changes to send")
