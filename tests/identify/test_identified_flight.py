@@ -15,7 +15,16 @@ from twodof.experiment.flight import Laboratory
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.identify import cut, fit
 from twodof.identify.identified_flight import IdentifiedFlight, identify_flight
-from twodof.identify.ready_made import FlownMachine, experiment_in, machine_of, structure_for, sufficiency, true_values
+from twodof.identify.ready_made import (
+    FlownMachine,
+    experiment_in,
+    gyro_noise,
+    machine_of,
+    structure_for,
+    sufficiency,
+    true_values,
+)
+from twodof.identify.record import Record
 from twodof.models import pitch_rate
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import model_parameters
@@ -179,6 +188,13 @@ def test_a_flight_in_closed_loop_holds_the_rig(logs: dict[str, FlightLog]) -> No
     assert found.simple is None
     assert "in closed loop nothing is read by hand" in found.refusal
     assert not any(one["validation"] for one in found.view()["outputs"])
+
+
+def test_the_gyros_noise_is_what_is_faster_than_the_drone() -> None:
+    time = 0.004 * np.arange(5000)
+    slow, noise = np.sin(2.0 * math.pi * time), np.random.default_rng(2).normal(0.0, 0.02, time.size)
+    record = Record.from_columns(time, {"gyro": slow + noise, "q": slow}, ["gyro"], ["q"])
+    assert gyro_noise(record) == pytest.approx(0.02 * math.sqrt(1.0 - 8.0 / 125.0), rel=0.03)
 
 
 def test_a_rig_is_not_doubted_where_it_has_nothing(logs: dict[str, FlightLog]) -> None:

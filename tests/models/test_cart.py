@@ -48,6 +48,14 @@ def test_a_cart_without_play_leaves_only_the_bearing() -> None:
     assert push == pytest.approx([0.0, -0.05, 0.05, -0.05])
 
 
+def test_a_noisy_gyro_gives_the_friction_that_is_expected() -> None:
+    # Of a true q that may be any, drawn about the measured one.
+    q = np.linspace(-0.1, 0.1, 41)
+    push = pushed(np.zeros(41), q, {"play": 0.0, "coulomb": 0.05, "q_noise": 0.02})
+    drawn = np.sign(q[:, None] + np.random.default_rng(1).normal(0.0, 0.02, (41, 100_000)))
+    assert push == pytest.approx(-0.05 * drawn.mean(axis=1), abs=0.05 * 4.0 / math.sqrt(100_000) + 2e-5)
+
+
 def test_dry_friction_of_the_rail_holds_the_cart() -> None:
     values = {"coupling": 0.8, "play": 0.001, "k_v": 5.0, "rail_coulomb": 0.06}
     assert (pushed(np.full(20, 0.011), np.zeros(20), values) == 0.0).all()

@@ -5,11 +5,12 @@ account when within the step the motion stops. So sticking is exact, and the res
 parameters, whose derivatives an estimation needs, even where a stop moves from one step to the next.
 """
 
+import math
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementary.functions import sin
+from twodof.blocks.elementary.functions import sin, tanh
 from twodof.blocks.expressions.expr import maximum, minimum, where
 
 
@@ -33,6 +34,9 @@ def after_friction(speed: Any, drive: Any, more: Any, less: Any, dt: Any) -> Any
     moved = where(sticks(speed, drive, more, less), speed, where(before > 0.0, from_up, from_down))
     # Without friction nothing is computed from a quotient that at rest is 0 / 0.
     return where((more == 0.0) & (less == 0.0), speed, moved)
+
+
+_ERF = math.sqrt(2.0 / math.pi)
 
 
 @library_block("models.PitchPendulum")
@@ -185,6 +189,7 @@ class CartPush(Block):
         Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
         Param("rail_coulomb", 0.0, unit="m/s2", low=0.0, text="dry friction of the rail"),
         Param("coulomb", 0.0, unit="rad/s2", text="dry friction of the bearing"),
+        Param("q_noise", 0.0, unit="rad/s", low=0.0, text="standard deviation of the measured q about the true one"),
         Param("wake", 0.0, unit="rad/s2", text="pitch acceleration of a level drone by its rotors' wake"),
         Param("wake_fade", 0.0, unit="1/rad", low=0.0, text="how soon the wake fades with the pitch"),
         Param("wake_lag", 1.0, unit="s", low=0.01, text="time in which it fades and comes back"),
@@ -193,7 +198,9 @@ class CartPush(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         _, speed = self._next(u, x, p, t)
-        bearing = where(u.q > 0.0, p.coulomb, where(u.q < 0.0, -p.coulomb, 0.0))
+        # The true q near 0 may have the other sign. The expected sign is erf(z / sqrt(2)), here to 1e-3.
+        z = u.q / maximum(p.q_noise, 1e-9)
+        bearing = p.coulomb * tanh(_ERF * (z + 0.044715 * (z * z * z)))
         return -(p.coupling * ((speed - x.v) / t.dt)) + p.M_u * (0.5 * (x.v + speed)) - bearing - p.wake * x.gone
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
