@@ -297,6 +297,7 @@ def test_wide_tables_of_others_are_read(tmp_path: Path) -> None:
 TABLES = {
     "semicolons": "time;u;y\n0,00;1;-0,5\n0,02;2;1e-3\n",
     "semicolons and points": "time;u;y\n0.00;1;-0.5\n0.02;2;1e-3\n",
+    "a comma in a note": "time;u;y;note\n0.00;1;-0.5;take off, hover\n0.02;2;1e-3;land\n",
     "tabs": "time\tu\ty\n0,00\t1\t-0,5\n0,02\t2\t1e-3\n",
     "Excel": "sep=;\r\ntime;u;y\r\n0,00;1;-0,5\r\n0,02;2;1e-3\r\n",
     "quotes": '"time","u","y"\n"0","1","-0.5"\n"0.02","2","0.001"\n',

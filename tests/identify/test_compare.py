@@ -71,14 +71,34 @@ def test_detrend_takes_levels_and_lines_away() -> None:
 def test_resampled_records_keep_what_the_new_rate_can_show() -> None:
     time = DT * np.arange(4000)
     slow, fast = np.sin(2.0 * np.pi * 1.0 * time), np.sin(2.0 * np.pi * 40.0 * time)
-    found = Record.from_columns(time, {"u": slow, "y": slow + fast}, ["u"], ["y"]).resample(0.04)
+    table = {"u": slow, "v": slow, "y": slow + fast}
+    found = Record.from_columns(time, table, ["u", "v"], ["y"], hold={"v": "band-limited"}).resample(0.04)
     assert (found.dt, found.steps) == (0.04, 1000)
     assert found.hold_of("u") == "band-limited"
     inner = slice(50, -50)  # the filter needs samples on both sides
     now = np.sin(2.0 * np.pi * found.time)[inner]
     # The filter of scipy ripples by a thousandth; 40 Hz would be folded to 10 Hz.
-    assert found.inputs["u"][inner] == pytest.approx(now, abs=2e-3)
+    assert found.inputs["v"][inner] == pytest.approx(now, abs=2e-3)
+    held = np.sin(2.0 * np.pi * (found.time - 0.5 * DT))[inner]  # what is held is half a step behind its samples
+    assert found.inputs["u"][inner] == pytest.approx(held, abs=2e-3)
     assert found.outputs["y"].value[inner] == pytest.approx(now, abs=2e-3)
+
+
+@pytest.mark.parametrize("period", [2.0 * DT, 2.5 * DT, 3.0 * DT])
+def test_a_resampled_record_has_the_plants_delay(period: float) -> None:
+    # y follows the held u by 5.3 steps, behind a lag that the slower rate shows whole.
+    random, fine = np.random.default_rng(3), 20
+    u = np.repeat(random.normal(size=400), 10)
+    y = np.zeros(u.size)
+    late = np.repeat(u, fine)[np.maximum(0, np.arange(u.size * fine) - round(5.3 * fine))]
+    x, step = 0.0, DT / fine
+    for k in range(u.size):
+        y[k] = x
+        for one in late[k * fine : (k + 1) * fine]:
+            x += step / (20.0 * DT) * (one - x)
+    record = Record.from_columns(DT * np.arange(u.size), {"u": u, "y": y}, ["u"], ["y"])
+    # The filter's ripple of a thousandth is left; half a step would be .005 s.
+    assert fit("process:P1D", record.resample(period))["Td"] == pytest.approx(5.3 * DT, abs=0.0005)
 
 
 def test_resampling_at_the_same_rate_puts_outputs_on_the_grid() -> None:

@@ -51,6 +51,12 @@ def test_records_are_cut_at_gaps_of_inputs() -> None:
     assert not first.gaps
     assert not second.gaps
     assert Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"]).pieces()[0].steps == 100
+    # A gap may reach over the edges of a window, or last until the end.
+    channels |= {"v": (T, T), "ends": (T[:61], T[:61])}
+    later = Record.from_channels(channels, ["v", "u", "ends"], ["y"], start=float(T[32]), stop=float(T[90]))
+    assert later.gaps == {"u": ((T[32], T[36]),), "ends": ((T[60], T[90]),)}
+    sooner = Record.from_channels(channels, ["v", "u"], ["y"], stop=float(T[33]))
+    assert sooner.gaps == {"u": ((T[29], T[33]),)}
     # A channel of events has no rhythm to miss.
     events = np.sort(np.random.default_rng(1).uniform(0.0, 0.39, 40))
     whole = Record.from_channels(

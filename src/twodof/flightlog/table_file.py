@@ -150,7 +150,7 @@ def _parsed(
                 column_types={n: kind for n in names if (kind := types.get(n, pa.float64())) is not None},
                 null_values=list(missing),
                 strings_can_be_null=False,
-                decimal_point="," if separator != "," and data.find(b",", start) >= 0 else ".",
+                decimal_point="," if _has_decimal_commas(data, start, separator) else ".",
             ),
         )
     except (pa.ArrowException, UnicodeDecodeError) as reason:
@@ -160,6 +160,14 @@ def _parsed(
             "between semicolons or tabs, where a comma may be the decimal mark"
         )
         raise LogError(what, where, remedy) from reason
+
+
+def _has_decimal_commas(data: bytes, start: int, separator: str) -> bool:
+    """Return True if a cell is a number with a comma; one in a note is none."""
+    if separator == "," or data.find(b",", start) < 0:
+        return False
+    cell = rb'(?:^|[\r\n%s])[ "]*[-+]?\d*,\d+(?:[eE][-+]?\d+)?[ "]*(?:$|[\r\n%s])' % ((separator.encode(),) * 2)
+    return re.compile(cell).search(data, start) is not None
 
 
 def _without_words(

@@ -28,10 +28,11 @@ _JITTERY = 0.05
 """Standard deviation of the stamps about the grid [steps] from which on an input moves within steps."""
 
 _JITTER, _FEW_LOST, _FOLLOWED = 0.3, 0.05, 0.1
-_MANY_SHORTEST = 0.2
-"""Share of the intervals that are the shortest one, from which on it counts as the step."""
 """Jitter [steps] from which on stamps are counted one by one; share of lost samples that may pass for another step; and
 how far the clock follows each stamp."""
+
+_MANY_SHORTEST = 0.2
+"""Share of the intervals that are the shortest one, from which on it counts as the step."""
 
 _RATIO, _SAME_STEP = 1000, 1e-3
 """Largest denominator of two sample times in `resample`; share by which the steps of merged records may differ."""
@@ -279,7 +280,8 @@ class Record:
         """Return the record with steps of `period` [s], all outputs at each step.
 
         For a longer period all signals pass one anti-alias filter without a phase (`scipy.signal.resample_poly`), which
-        leaves the model between them as it is. Inputs then have nothing above half the new rate (hold "band-limited").
+        leaves the model between them as it is. A held input is half a step behind its samples, and is filtered there.
+        Inputs then have nothing above half the new rate (hold "band-limited").
         For the present period outputs are interpolated linearly at the steps. Raises IdentificationError for a shorter
         period, which would add nothing, for under two such steps, and for gaps, which a filter would spread.
         """
@@ -298,13 +300,17 @@ class Record:
                 )
         from scipy.signal import resample_poly  # imported late: most commands start without it
 
-        def slower(value: Array) -> Array:
+        def slower(value: Array, late: float = 0.0) -> Array:
+            """Return the signal at the new steps, `late` old steps before them."""
             if ratio == 1:
                 return value
-            return np.asarray(resample_poly(value, ratio.denominator, ratio.numerator, padtype="line"))
+            up, down = ratio.denominator, ratio.numerator
+            at = np.arange(-10.0 * max(up, down), 10.0 * max(up, down) + 1.0)  # as scipy's own filter, but late
+            window = np.sinc((at - late * up) / max(up, down)) * np.kaiser(at.size, 5.0)
+            return np.asarray(resample_poly(value, up, down, window=window / window.sum(), padtype="line"))
 
         steps = np.arange(float(self.steps))
-        inputs = {name: slower(value) for name, value in self.inputs.items()}
+        inputs = {name: slower(value, 0.5 * (self.hold_of(name) == "zoh")) for name, value in self.inputs.items()}
         outputs = {name: slower(np.interp(steps, one.position, one.value)) for name, one in self.outputs.items()}
         count = len(next(iter(inputs.values())))
         measured = {name: Samples(np.arange(float(count)), value) for name, value in outputs.items()}
@@ -387,14 +393,17 @@ def _checked(channel: str, channels: Mapping[str, tuple[ArrayLike, ArrayLike]]) 
 
 def _gaps(time: Array, start: float, stop: float, step: float | None) -> tuple[tuple[float, float], ...]:
     """Stretches from `start` to `stop` that lack `GAP` samples or more; none without a rhythm or a `step`."""
-    inside = time[(time >= start) & (time <= stop)]
-    if inside.size < SHORTEST_PIECE:
+    first, last = np.searchsorted(time, start), np.searchsorted(time, stop, side="right")
+    if last - first < SHORTEST_PIECE:
         return ()
-    interval = np.diff(inside)
+    interval = np.diff(time[first:last])
     usual = step or float(np.median(interval))
     if step is None and np.mean(interval > 1.5 * usual) > 0.1:
         return ()
-    return tuple((float(inside[k]), float(inside[k + 1])) for k in np.flatnonzero(interval > (GAP + 0.5) * usual))
+    # A gap may reach over the window's edges, or begin with the last sample of all.
+    near = np.append(time[max(first - 1, 0) : last + 1], [stop] if last == time.size else [])
+    long = np.flatnonzero(np.diff(near) > (GAP + 0.5) * usual)
+    return tuple((max(float(near[k]), start), min(float(near[k + 1]), stop)) for k in long)
 
 
 def _grid(clock: Array) -> tuple[float, float]:
