@@ -177,6 +177,26 @@ def test_a_disk_margins_phase_is_python_controls(text: str) -> None:
     assert math.degrees(found.phase) == pytest.approx(phase, rel=1e-5)
 
 
+@pytest.mark.parametrize("text", ["1/s(s+1)", "1/2s", "1/(2s+1)s", "3 / (s + 1) (s + 2)"])
+def test_a_quotient_that_has_two_readings_is_refused(text: str) -> None:
+    with pytest.raises(ParameterError, match="two ways"):
+        read_rational(text)
+
+
+@pytest.mark.parametrize("text", ["20 s^2 / (s + 1)^3", "s^3 / (s + 2)^4", "0.3 s^2 / (s + 0.1)^3"])
+def test_a_loop_with_two_zeros_at_rest_ends_at_0(text: str) -> None:
+    assert final_value(margins(written(text))) == 0.0
+
+
+@pytest.mark.parametrize("text", ["10 s / (s + 1)", "3 (s + 2) / (s + 1)"])
+def test_no_delay_is_left_to_a_loop_whose_gain_stays_above_1(text: str) -> None:
+    # With a lag T its gain falls through 1 at some D / T, so the delay margin goes to 0 with T.
+    found = margins(written(text))
+    assert found.delay_margin == 0.0
+    lags = [margins(written(f"({text}) * 1 / ({lag!r} s + 1)")).delay_margin for lag in (1e-2, 1e-3, 1e-4)]
+    assert lags[0] > 9.0 * lags[1] > 80.0 * lags[2] > 0.0
+
+
 def test_what_does_not_fit_together_is_refused() -> None:
     with pytest.raises(ParameterError, match="str is not a linear model"):
         own_loop("1 / s", written("1"))

@@ -233,7 +233,12 @@ class LoopMargins:
 
     @property
     def delay_margin(self) -> float:
-        """The shortest further delay [s] that brings the loop to the border of stability; infinity if there is none."""
+        """The shortest further delay [s] that brings the loop to the border of stability; infinity if there is none.
+
+        It is 0 for a continuous loop whose gain does not fall below 1: however short a delay turns it by half a turn.
+        """
+        if self.loop.dt is None and abs(self.loop.d) >= 1.0:
+            return 0.0
         return min((p.delay for p in self.phases), default=math.inf)
 
     @property
@@ -354,13 +359,15 @@ def _ends(loop: LoopTransfer) -> list[tuple[float, complex]]:
 def _bandwidth(t: Sensitivity, grid: Array) -> float:
     """Return the highest frequency where |T| falls through 1 / sqrt(2): Skogestad and Postlethwaite, section 2.4.5.
 
-    Infinity where it does not fall, 0 where it is nowhere above.
+    Infinity where it does not fall, 0 where it is below at rest or everywhere.
     """
 
     def above(omega: float) -> float:
         return float(np.abs(t.response(omega))[0]) - _HALF_POWER
 
     sizes = np.abs(t.response(grid)) - _HALF_POWER
+    if sizes[0] < 0.0:
+        return 0.0
     if sizes[-1] > 0.0:
         return math.inf
     roots = refined_roots(above, grid, sizes)

@@ -28,7 +28,12 @@ _LONGEST, _SETTLED = 100.0, 0.002
 DELAY_STEPS = 200
 """Steps of a continuous delay that is sampled, at the most."""
 _MOST_TEXT, _MOST_POWER, _MOST_ORDER = 400, 20, 40
+_ROUNDED = 1e-9
+"""A T at rest below this share of its peak is 0 but for rounding."""
 _PRODUCT = re.compile(r"(?<=[\d.)sz])\s*(?=[sz(]|exp)(?<!exp)|(?<=[sz)])\s*(?=\d)|(?<=\d)\s+(?=\d)")
+_TWO_WAYS = re.compile(r"/\s*(?:\d[\d.]*+(?:e[-+]?\d++)?|[sz]|\([^()]*\))(?:\s*\^\s*\d++)?\s*(?=[sz(\d])")
+"""A quotient with a factor behind it and no sign between: 1/s(s + 1) is 1/(s(s + 1)) for one reader, (s + 1)/s for
+another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,9 @@ def read_rational(text: str) -> Rational:
     refusal = ParameterError(f"{shown(text)} is not a transfer function", "", remedy)
     if not 0 < len(text) <= _MOST_TEXT:
         raise refusal
+    if _TWO_WAYS.search(text):
+        what = f"{shown(text)} can be read in two ways"
+        raise ParameterError(what, "", "put what is below the fraction in brackets, 1 / (s (s + 1)), or write a *")
     try:
         found = _value(ast.parse(_PRODUCT.sub("*", text.strip()).replace("^", "**"), mode="eval").body)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
@@ -181,7 +189,8 @@ def final_value(m: LoopMargins) -> float:
         return math.nan
     # A pole and a zero at rest may cancel.
     at_rest = complex(minimal(m.loop).at(0.0 if m.loop.dt is None else 1.0)[0])
-    return (at_rest / (1.0 + at_rest)).real if np.isfinite(at_rest) else 1.0
+    final = (at_rest / (1.0 + at_rest)).real if np.isfinite(at_rest) else 1.0
+    return final if abs(final) > _ROUNDED * m.mt else 0.0
 
 
 def step_response(m: LoopMargins) -> tuple[Array, Array]:

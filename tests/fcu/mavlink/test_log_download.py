@@ -162,6 +162,10 @@ def test_erasing_needs_the_lease_and_keeps_what_is_being_written(tmp_path: Path)
     world.say(message("LOG_ERASE", **US))
     assert (len(log.logs()), world.texts()) == (3, "another holds the lease")
     world.commander.verdict = CommandResult(0)
+    world.run(1, armed=True)
+    world.say(message("LOG_ERASE", **US))
+    assert (len(log.logs()), world.texts()) == (3, "no log is erased while armed: disarm first")
+    world.run(1, armed=False)
     world.say(message("LOG_ERASE", **US))
     assert [one.path for one in log.logs()] == [log.path]
     assert world.commander.asked == [("take", CLIENT, "logs")] * 2

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -123,6 +124,15 @@ def test_pyulog_reads_what_px4s_tools_show(tmp_path: Path) -> None:
     assert set(data["vehicle_status"]["nav_state"]) == {14}
     assert {"ver_sw", "ver_hw", "sys_name"} <= log.msg_info_dict.keys()
     assert log.initial_parameters["COM_DL_LOSS_T"] == 10
+
+
+def test_a_drone_on_the_ground_is_not_in_failsafe(tmp_path: Path) -> None:
+    flown = [(False, 3), (True, 0), (True, 1), (False, 3)]  # the action of a disarmed drone is to keep its motors off
+    steps = [replace(plain_step(k, armed), action=action) for k, (armed, action) in enumerate(flown)]
+    (path,) = logged(tmp_path, steps, **ALWAYS)
+    status = scan_ulog(path.read_bytes(), "log").topic("vehicle_status")
+    assert status is not None
+    assert status["failsafe"].tolist() == [0, 0, 1, 0]
 
 
 def ticks_of(paths: list[Path]) -> list[tuple[int, int]]:

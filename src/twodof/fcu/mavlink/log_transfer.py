@@ -53,7 +53,7 @@ class LogDownload(Service):
             "LOG_ERASE": lambda received: self._do(received, self._erase(received)),
         }
         super().__init__(vehicle, takes, everybody=True)
-        self._log = log
+        self._log, self._armed = log, False
         self._background = BackgroundWorker(inline=vehicle.lockstep)
         self._sender = PacedSender(lambda peer, sent: vehicle.send(sent, peer), vehicle.lockstep, ENTRIES_A_TICK)
         self._lists: OrderedDict[Hashable, list[StoredLog]] = OrderedDict()
@@ -62,6 +62,7 @@ class LogDownload(Service):
         self._pack = Packer("LOG_DATA")
 
     def after(self, step: ControlStep) -> None:
+        self._armed = step.armed
         self._sender.most = ENTRIES_A_TICK_ARMED if step.armed else ENTRIES_A_TICK
         self._background.poll()
         self._sender.tick()
@@ -143,6 +144,9 @@ class LogDownload(Service):
             yield self._pack(at, number, 0, *bytes(PART))
 
     def _erase(self, received: Received) -> Steps:
+        if self._armed:
+            self._vehicle.explain(received.peer, "no log is erased while armed: disarm first")
+            return
         taken = self._vehicle.take(source(received), "logs")
         if not taken.accepted:
             self._vehicle.explain(received.peer, taken.text)

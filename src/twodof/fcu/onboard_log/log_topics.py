@@ -232,14 +232,15 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     ),
     LoggedTopic(
         "vehicle_status",
-        "armed or not, PX4's mode, whether the failsafe acts: each change, and 2 Hz",
+        "armed or not; nav_state 14 (offboard) while a loop flies, whichever mode asked for it, else 0; whether the "
+        "failsafe acts in flight: each change, and 2 Hz",
         "uint8_t arming_state;uint8_t nav_state;uint8_t nav_state_user_intention;uint8_t vehicle_type;bool failsafe",
         {
             "arming_state": lambda rows: np.where(rows["armed"] != 0, _ARMED, _DISARMED),
             "nav_state": _nav_state,
             "nav_state_user_intention": _nav_state,
             "vehicle_type": 1,
-            "failsafe": lambda rows: rows["action"] != 0,
+            "failsafe": lambda rows: (rows["action"] != 0) & (rows["armed"] != 0),
         },
         _changed,
     ),

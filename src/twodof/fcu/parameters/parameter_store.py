@@ -311,7 +311,9 @@ class ParameterStore(Mapping[str, float]):
         locked = [name for name, value in good.items() if self.row(name).disarmed and value != self._set[name]]
         faults += [f"{name}: is changed only while disarmed" for name in locked if armed]
         if faults:
-            raise ParameterError("; ".join(faults), "parameters", "correct these values; nothing was changed")
+            only_armed = armed and len(faults) == len(locked)
+            remedy = "disarm first" if only_armed else "correct these values"
+            raise ParameterError("; ".join(faults), "parameters", f"{remedy}; nothing was changed")
         before = self._set.snapshot()
         self._set.update(good)
         main = {row.name: row.of or row.name for row in self.rows}
