@@ -148,7 +148,7 @@ def test_a_client_that_goes_gets_no_more() -> None:
     "params",
     [
         (0.0, 0.0, 0.0),
-        (0.0, 0.0, float(1 << 10)),  # no such channel
+        (0.0, 0.0, float(1 << 15)),  # the last bit, which no channel has
         (0.0, -1.0, 0.0),
         (0.0, 65536.0, 0.0),
         (0.0, math.nan, 0.0),
