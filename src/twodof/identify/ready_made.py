@@ -110,7 +110,8 @@ _FAST_HZ = 8.0
 def gyro_noise(record: Record) -> float:
     """Return the standard deviation of the measured q about the true one [rad/s]: vibration and noise above 8 Hz.
 
-    It is that of the middle half of the samples, which steps do not reach.
+    It is that of the middle half of the samples, which steps do not reach. A random signal does: then it is too large,
+    and less is told of the friction.
     """
     from scipy.signal import butter, sosfiltfilt  # imported late: most commands start without it
 
