@@ -57,6 +57,8 @@ def test_records_are_cut_at_gaps_of_inputs() -> None:
     assert later.gaps == {"u": ((T[32], T[36]),), "ends": ((T[60], T[90]),)}
     sooner = Record.from_channels(channels, ["v", "u"], ["y"], stop=float(T[33]))
     assert sooner.gaps == {"u": ((T[29], T[33]),)}
+    edge = Record.from_channels(channels, ["u"], ["y"], start=float(T[32]))  # its own clock begins behind the gap
+    assert not edge.gaps
     # A channel of events has no rhythm to miss.
     events = np.sort(np.random.default_rng(1).uniform(0.0, 0.39, 40))
     whole = Record.from_channels(

@@ -359,15 +359,13 @@ def _ends(loop: LoopTransfer) -> list[tuple[float, complex]]:
 def _bandwidth(t: Sensitivity, grid: Array) -> float:
     """Return the highest frequency where |T| falls through 1 / sqrt(2): Skogestad and Postlethwaite, section 2.4.5.
 
-    Infinity where it does not fall, 0 where it is below at rest or everywhere.
+    Infinity where it does not fall, 0 where it is nowhere above.
     """
 
     def above(omega: float) -> float:
         return float(np.abs(t.response(omega))[0]) - _HALF_POWER
 
     sizes = np.abs(t.response(grid)) - _HALF_POWER
-    if sizes[0] < 0.0:
-        return 0.0
     if sizes[-1] > 0.0:
         return math.inf
     roots = refined_roots(above, grid, sizes)

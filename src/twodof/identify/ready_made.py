@@ -115,7 +115,7 @@ def gyro_noise(record: Record) -> float:
     """
     from scipy.signal import butter, sosfiltfilt  # imported late: most commands start without it
 
-    if record.steps < 50:
+    if record.steps < 50 or 2.0 * _FAST_HZ * record.dt >= 1.0:
         return 0.0
     fast = sosfiltfilt(butter(2, 2.0 * _FAST_HZ * record.dt, "high", output="sos"), record.inputs["gyro"])
     return float(np.subtract(*np.percentile(fast, (75, 25))) / 1.349)

@@ -403,7 +403,8 @@ def _gaps(time: Array, start: float, stop: float, step: float | None) -> tuple[t
     # A gap may reach over the window's edges, or begin with the last sample of all.
     near = np.append(time[max(first - 1, 0) : last + 1], [stop] if last == time.size else [])
     long = np.flatnonzero(np.diff(near) > (GAP + 0.5) * usual)
-    return tuple((max(float(near[k]), start), min(float(near[k + 1]), stop)) for k in long)
+    gaps = [(max(float(near[k]), start), min(float(near[k + 1]), stop)) for k in long]
+    return tuple((a, b) for a, b in gaps if b - a > 0.5 * usual)  # one that ends at the window's edge lies outside
 
 
 def _grid(clock: Array) -> tuple[float, float]:
