@@ -113,9 +113,9 @@ def agreement(found: Sequence[Estimate], figure: str) -> Agreement:
     values, sigmas = np.array([[one[figure], one.sigma(figure)] for one in told]).T
     centers, widths = np.array([one.prior.get(figure, (0.0, math.inf)) for one in told]).T
     # The information of a posterior is that of the data and that of the prior.
-    weights = np.maximum(sigmas**-2.0 - widths**-2.0, 0.0)
+    weights, sums = sigmas**-2.0 - widths**-2.0, values * sigmas**-2.0 - centers * widths**-2.0
     telling = weights * sigmas**2.0 > _TOLD
-    values, weights = ((values * sigmas**-2.0 - centers * widths**-2.0) / weights)[telling], weights[telling]
+    values, weights = sums[telling] / weights[telling], weights[telling]
     mean = float(weights @ values / weights.sum())
     square = float(weights @ (values - mean) ** 2)
     n = int(telling.sum())

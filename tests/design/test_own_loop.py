@@ -177,10 +177,20 @@ def test_a_disk_margins_phase_is_python_controls(text: str) -> None:
     assert math.degrees(found.phase) == pytest.approx(phase, rel=1e-5)
 
 
-@pytest.mark.parametrize("text", ["1/s(s+1)", "1/2s", "1/(2s+1)s", "3 / (s + 1) (s + 2)"])
+@pytest.mark.parametrize(
+    "text", ["1/s(s+1)", "1/2s", "1/(2s+1)s", "3/(s+1) (s+2)", "1/((s+1)(s+2))(s+3)", "1/-s(s+1)", "1/.5s"]
+)
 def test_a_quotient_that_has_two_readings_is_refused(text: str) -> None:
     with pytest.raises(ParameterError, match="two ways"):
         read_rational(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "top"), [("(1/s)(s+1)", [1.0, 1.0]), ("1/s*(s+1)", [1.0, 1.0]), ("2/s exp(-s)", [2.0])]
+)
+def test_a_quotient_with_one_reading_is_read(text: str, top: list[float]) -> None:
+    found = read_rational(text)
+    assert (found.top.tolist(), found.bottom.tolist()) == (top, [1.0, 0.0])
 
 
 @pytest.mark.parametrize("text", ["20 s^2 / (s + 1)^3", "s^3 / (s + 2)^4", "0.3 s^2 / (s + 0.1)^3"])

@@ -195,6 +195,12 @@ def test_the_gyros_noise_is_what_is_faster_than_the_drone() -> None:
     slow, noise = np.sin(2.0 * math.pi * time), np.random.default_rng(2).normal(0.0, 0.02, time.size)
     record = Record.from_columns(time, {"gyro": slow + noise, "q": slow}, ["gyro"], ["q"])
     assert gyro_noise(record) == pytest.approx(0.02 * math.sqrt(1.0 - 8.0 / 125.0), rel=0.03)
+    assert gyro_noise(replace(record, dt=0.1)) == 0.0, "such a record has nothing above 8 Hz"
+
+
+def test_a_flight_in_closed_loop_is_fitted_by_another_structure_too() -> None:
+    found = identify_flight(Laboratory("lab").fly("attitude-steps", 1).log, structure="free-response")
+    assert found.greybox.structure == "free_response"
 
 
 def test_a_rig_is_not_doubted_where_it_has_nothing(logs: dict[str, FlightLog]) -> None:

@@ -31,9 +31,6 @@ _MOST_TEXT, _MOST_POWER, _MOST_ORDER = 400, 20, 40
 _ROUNDED = 1e-9
 """A T at rest below this share of its peak is 0 but for rounding."""
 _PRODUCT = re.compile(r"(?<=[\d.)sz])\s*(?=[sz(]|exp)(?<!exp)|(?<=[sz)])\s*(?=\d)|(?<=\d)\s+(?=\d)")
-_TWO_WAYS = re.compile(r"/\s*(?:\d[\d.]*+(?:e[-+]?\d++)?|[sz]|\([^()]*\))(?:\s*\^\s*\d++)?\s*(?=[sz(\d])")
-"""A quotient with a factor behind it and no sign between: 1/s(s + 1) is 1/(s(s + 1)) for one reader, (s + 1)/s for
-another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +68,16 @@ def read_rational(text: str) -> Rational:
     """
     remedy = 'write one as "2 exp(-0.3 s) / (1.5 s + 1)"'
     refusal = ParameterError(f"{shown(text)} is not a transfer function", "", remedy)
-    if not 0 < len(text) <= _MOST_TEXT:
+    if not 0 < len(text) <= _MOST_TEXT or "@" in text:
         raise refusal
-    if _TWO_WAYS.search(text):
-        what = f"{shown(text)} can be read in two ways"
-        raise ParameterError(what, "", "put what is below the fraction in brackets, 1 / (s (s + 1)), or write a *")
+    # A product without a sign is Python's @, which binds as * does, so that the tree tells them apart.
+    source = _PRODUCT.sub("@", text.strip()).replace("^", "**")
     try:
-        found = _value(ast.parse(_PRODUCT.sub("*", text.strip()).replace("^", "**"), mode="eval").body)
+        tree = ast.parse(source, mode="eval").body
+        if any(_has_two_readings(node, source) for node in ast.walk(tree)):
+            what = f"{shown(text)} can be read in two ways"
+            raise ParameterError(what, "", "put what is below the fraction in brackets, 1 / (s (s + 1)), or write a *")
+        found = _value(tree)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         raise refusal from error
     top, bottom = (np.trim_zeros(one, "f") for one in (found.top, found.bottom))
@@ -86,6 +86,15 @@ def read_rational(text: str) -> Rational:
     if found.delay and found.letter == "z":
         raise ParameterError("a delay of exp(-T s) beside z", shown(text), "write it as a power of z: / z^3")
     return Rational(top if top.size else np.zeros(1), bottom, found.delay, found.letter)
+
+
+def _has_two_readings(node: ast.AST, source: str) -> bool:
+    """Return True for a fraction with a factor behind it and no sign between: 1/s(s + 1) is (s + 1)/s for some."""
+    match node:
+        case ast.BinOp(left=ast.BinOp(op=ast.Div()) as left, op=ast.MatMult(), right=right):
+            bracketed = source[left.end_col_offset :].lstrip().startswith(")")
+            return not bracketed and not isinstance(right, ast.Call)  # a delay belongs to the whole
+    return False
 
 
 def _value(node: ast.expr) -> Rational:
@@ -120,7 +129,7 @@ def _joined(left: Rational, right: Rational, operator: ast.operator) -> Rational
     if len(letters) > 1 or left.bottom.size + right.bottom.size + left.top.size + right.top.size > 2 * _MOST_ORDER:
         raise ValueError
     letter = letters.pop() if letters else ""
-    if isinstance(operator, ast.Mult | ast.Div):
+    if isinstance(operator, ast.Mult | ast.MatMult | ast.Div):
         top, bottom, late = right.top, right.bottom, right.delay
         if isinstance(operator, ast.Div):
             top, bottom, late = bottom, top, -late

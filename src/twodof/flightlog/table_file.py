@@ -48,6 +48,7 @@ _MARK = f"# {_META} ".encode()
 _VERSION = 1
 _NUMBER = re.compile(r"[-+]?[\d.,]*\d[-+\d.,:/TZeE ]*|nan|inf", re.IGNORECASE)
 """A number or a date in a cell of CSV."""
+_DECIMAL_COMMA = re.compile(r" *[-+]?\d*,\d+(?:[eE][-+]?\d+)? *")
 _NO_NUMBER = re.compile(
     r"In CSV column #(?P<column>\d+): Row #(?P<row>\d+): .*conversion error to double: invalid value '(?P<cell>.*)'"
 )
@@ -139,8 +140,12 @@ def _parsed(
     types: Mapping[str, pa.DataType | None],
     where: str,
     missing: Sequence[str],
+    decimal: str = ".",
 ) -> pa.Table:
-    """Return the rows from byte `start` on: float64, except `types`, where None lets pyarrow find the type."""
+    """Return the rows from byte `start` on: float64, except `types`, where None lets pyarrow find the type.
+
+    They are read with a decimal comma once a cell asks for it; a comma in a note does not.
+    """
     try:
         return pa_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)[start:]),
@@ -150,24 +155,19 @@ def _parsed(
                 column_types={n: kind for n in names if (kind := types.get(n, pa.float64())) is not None},
                 null_values=list(missing),
                 strings_can_be_null=False,
-                decimal_point="," if _has_decimal_commas(data, start, separator) else ".",
+                decimal_point=decimal,
             ),
         )
     except (pa.ArrowException, UnicodeDecodeError) as reason:
+        found = _NO_NUMBER.search(str(reason))
+        if decimal == "." and separator != "," and found and _DECIMAL_COMMA.fullmatch(found["cell"]):
+            return _parsed(data, start, names, separator, types, where, missing, ",")
         what = f"is not a table of numbers: {str(reason).partition(chr(10))[0]:.200}"
         remedy = (
             "give a header line and below it numbers, without separators of thousands: columns between commas, or "
             "between semicolons or tabs, where a comma may be the decimal mark"
         )
         raise LogError(what, where, remedy) from reason
-
-
-def _has_decimal_commas(data: bytes, start: int, separator: str) -> bool:
-    """Return True if a cell is a number with a comma; one in a note is none."""
-    if separator == "," or data.find(b",", start) < 0:
-        return False
-    cell = rb'(?:^|[\r\n%s])[ "]*[-+]?\d*,\d+(?:[eE][-+]?\d+)?[ "]*(?:$|[\r\n%s])' % ((separator.encode(),) * 2)
-    return re.compile(cell).search(data, start) is not None
 
 
 def _without_words(

@@ -361,7 +361,8 @@ def _on_unknowns(found: Estimate) -> Iterator[str]:
             touched = [group for group in groups if group & pair]
             groups = [group for group in groups if not group & pair] + [pair.union(*touched)]
     for group in groups:
-        if all(found.sigma(label) < _SURE * abs(found[label]) for label in group.difference(found.local)):
+        shared = group.difference(found.local)
+        if shared and all(found.sigma(label) < _SURE * abs(found[label]) for label in shared):
             continue
         names = listed(label for label in found.labels if label in group)
         yield f"{names} are hardly told apart (correlations above {_ALIKE}): fix one or add an experiment"

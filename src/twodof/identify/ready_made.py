@@ -449,7 +449,8 @@ def by_output_error(
         before = {name: one for name, one in known.items() if name in wanted and name not in given}
         # What is not asked for is held where it is known to be, not at the paper's drone.
         held = {name: mean for name, (mean, _) in {**structure.prior, **known}.items() if name not in wanted}
-        noise = {"q_noise": gyro_noise(records[0])} if "coulomb" in known else {}
+        noisy = "q_noise" in structure.unknowns and "coulomb" in known
+        noise = {"q_noise": gyro_noise(records[0])} if noisy else {}
         given = {**held, **machine.values(structure), **noise, **given}
     elif experiment == "doublet":
         # Slow noise passes for a swing of the pendulum.
